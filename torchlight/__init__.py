@@ -1,0 +1,86 @@
+"""torchlight recovers light from shadows: photographs of a known object on a plane in, an HDR environment map out.
+
+    import torchlight as tl
+
+    scene = tl.load_scene("scene.yaml")
+    photo = tl.linearize(tl.read_photo("photo.png"), scene)
+    estimate = tl.estimate(photo, scene)
+    tl.write_light("light.exr", estimate.light, {})
+
+Read `torchlight.pipeline` first: it is the whole story.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torchlight.camera import Camera as Camera
+    from torchlight.geometry.receiver import Receiver as Receiver
+    from torchlight.geometry.scene import Scene as Scene
+    from torchlight.inversion.linear import solve as solve
+    from torchlight.io.images import read_photo as read_photo
+    from torchlight.io.lights import read_light as read_light
+    from torchlight.io.lights import write_light as write_light
+    from torchlight.io.scene_file import load_scene as load_scene
+    from torchlight.light.bases import HaarCubemap as HaarCubemap
+    from torchlight.light.bases import SphericalHarmonics as SphericalHarmonics
+    from torchlight.light.bases import Texels as Texels
+    from torchlight.light.environment import EnvironmentMap as EnvironmentMap
+    from torchlight.photo.observation import LinearPhoto as LinearPhoto
+    from torchlight.photo.observation import Observation as Observation
+    from torchlight.pipeline import Estimate as Estimate
+    from torchlight.pipeline import estimate as estimate
+    from torchlight.pipeline import linearize as linearize
+    from torchlight.pipeline import observe as observe
+    from torchlight.pipeline import precompute as precompute
+    from torchlight.relighting import irradiance as irradiance
+    from torchlight.relighting import relight as relight
+    from torchlight.solvers import NNLS as NNLS
+    from torchlight.solvers import NonnegativeSynthesis as NonnegativeSynthesis
+    from torchlight.solvers import ProjectedAdam as ProjectedAdam
+    from torchlight.solvers import Ridge as Ridge
+    from torchlight.transfer import Transfer as Transfer
+
+# name -> module: imported at first use, because importing torch takes a second that `--help` need not spend
+_HOME = {
+    "Camera": "camera",
+    "EnvironmentMap": "light.environment",
+    "Estimate": "pipeline",
+    "HaarCubemap": "light.bases",
+    "LinearPhoto": "photo.observation",
+    "NNLS": "solvers",
+    "NonnegativeSynthesis": "solvers",
+    "Observation": "photo.observation",
+    "ProjectedAdam": "solvers",
+    "Receiver": "geometry.receiver",
+    "Ridge": "solvers",
+    "Scene": "geometry.scene",
+    "SphericalHarmonics": "light.bases",
+    "Texels": "light.bases",
+    "Transfer": "transfer",
+    "estimate": "pipeline",
+    "irradiance": "relighting",
+    "linearize": "pipeline",
+    "load_scene": "io.scene_file",
+    "observe": "pipeline",
+    "precompute": "pipeline",
+    "read_light": "io.lights",
+    "read_photo": "io.images",
+    "relight": "relighting",
+    "solve": "inversion.linear",
+    "write_light": "io.lights",
+}
+
+__all__ = sorted(_HOME)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'torchlight' has no attribute '{name}'")
+    value = getattr(import_module(f"torchlight.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

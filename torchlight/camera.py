@@ -1,0 +1,103 @@
+"""A calibrated pinhole camera with lens distortion, in OpenCV's conventions.
+
+x right, y down, z forward; world -> camera; pixel centres at integer coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from kornia.geometry.calibration import distort_points, undistort_points
+from torch import Tensor
+
+from torchlight.errors import CalibrationError
+
+DISTORTION_LENGTHS = (4, 5, 8, 12, 14)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Intrinsics, distortion and pose of one photograph.
+
+    Attributes:
+        intrinsics: K, in pixels.
+        world_to_camera: rigid transform [R|t; 0 0 0 1] of column vectors, translation in the scene's unit.
+        image_size: width and height in pixels.
+        distortion: OpenCV order k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; zeros = none.
+    """
+
+    intrinsics: Float[Tensor, "3 3"]
+    world_to_camera: Float[Tensor, "4 4"]
+    image_size: tuple[int, int]
+    distortion: Float[Tensor, " parameters"]
+
+    def __post_init__(self) -> None:
+        check_intrinsics(self.intrinsics)
+        check_pose(self.world_to_camera)
+        if self.distortion.shape[0] not in DISTORTION_LENGTHS or not bool(torch.isfinite(self.distortion).all()):
+            raise CalibrationError(
+                f"camera.distortion: expected {', '.join(map(str, DISTORTION_LENGTHS))} finite values "
+                f"in OpenCV's order, got {self.distortion.tolist()}"
+            )
+
+    @property
+    def position(self) -> Float[Tensor, "3"]:
+        """Centre of projection in the world."""
+        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+
+
+def check_intrinsics(intrinsics: Float[Tensor, "3 3"]) -> None:
+    """Raises CalibrationError unless K is a finite upper-triangular matrix with positive focal lengths."""
+    k = intrinsics
+    if not bool(torch.isfinite(k).all()):
+        raise CalibrationError(f"camera.K: not all entries are finite: {k.tolist()}")
+    lower = k[[1, 2, 2], [0, 0, 1]].abs().max().item()
+    if lower > 0 or abs(k[2, 2].item() - 1) > 1e-9 or min(k[0, 0].item(), k[1, 1].item()) <= 0:
+        raise CalibrationError(
+            f"camera.K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, got {k.tolist()}"
+        )
+
+
+def check_pose(pose: Float[Tensor, "4 4"]) -> None:
+    """Raises CalibrationError unless the pose is a rigid motion (orthonormal to 1e-4, determinant +1)."""
+    if not bool(torch.isfinite(pose).all()):
+        raise CalibrationError(f"camera.world_to_camera: not all entries are finite: {pose.tolist()}")
+    rotation = pose[:3, :3]
+    identity = torch.eye(3, dtype=pose.dtype, device=pose.device)
+    off = (rotation @ rotation.T - identity).abs().max().item()
+    bottom = (pose[3] - torch.tensor([0, 0, 0, 1], dtype=pose.dtype, device=pose.device)).abs().max().item()
+    if off > 1e-4 or bottom > 1e-9 or torch.linalg.det(rotation).item() < 0:
+        raise CalibrationError(
+            f"camera.world_to_camera: not a rigid motion (rotation off orthonormal by {off:.1e}); "
+            "expected a 4x4 [R|t] that maps world to OpenCV camera axes"
+        )
+
+
+def to_camera(camera: Camera, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Returns world points in camera axes (x right, y down, z forward)."""
+    pose = camera.world_to_camera.to(points)
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def project(camera: Camera, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
+    """Returns the distorted pixel of each world point; NaN where the point is not in front of the camera."""
+    local = to_camera(camera, points).reshape(-1, 3)
+    depth = local[:, 2:]
+    in_front = depth > 0
+    normalized = local[:, :2] / torch.where(in_front, depth, torch.ones_like(depth))
+    k = camera.intrinsics.to(points)
+    ideal = torch.cat([normalized, torch.ones_like(depth)], dim=-1) @ k.T
+    pixels = distort_points(ideal[None, :, :2], k[None], camera.distortion.to(points)[None])[0]
+    return torch.where(in_front, pixels, torch.full_like(pixels, torch.nan)).reshape(*points.shape[:-1], 2)
+
+
+def pixel_directions(camera: Camera, pixels: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3"]:
+    """Returns the unit world direction in which each (distorted) pixel looks, away from the camera."""
+    k = camera.intrinsics.to(pixels)
+    flat = pixels.reshape(1, -1, 2)
+    ideal = undistort_points(flat, k[None], camera.distortion.to(pixels)[None], num_iters=30)[0]
+    local = torch.cat([ideal, torch.ones_like(ideal[:, :1])], dim=-1) @ torch.linalg.inv(k).T
+    world = local @ camera.world_to_camera.to(pixels)[:3, :3]
+    return torch.nn.functional.normalize(world, dim=-1).reshape(*pixels.shape[:-1], 3)

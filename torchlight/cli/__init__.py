@@ -1,0 +1,56 @@
+"""The command line: `torchlight estimate|render|evaluate|cache|doctor|demo`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+import tyro
+
+from torchlight.cli import arguments
+from torchlight.errors import TorchlightError
+
+NOTHING_STARTED = 2
+INTERRUPTED = 130
+DESCRIPTION = "Recovers light from shadows: photographs of a known object on a plane in, an HDR environment map out."
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Runs one command and exits with its code: 0 done, 1 partly failed, 2 nothing could start, 130 interrupted."""
+    command = tyro.cli(
+        tyro.conf.OmitArgPrefixes[tyro.conf.FlagCreatePairsOff[arguments.Command]],  # pyright: ignore
+        args=argv,
+        prog="torchlight",
+        description=DESCRIPTION,
+    )
+    sys.exit(run(command))
+
+
+def run(command: arguments.Command) -> int:
+    """Returns the exit code of a command; what a user can mend is one line on standard error, never a traceback."""
+    module = import_module(f"torchlight.cli.{type(command).__name__.lower()}")
+    show_warnings_in_one_line()
+    try:
+        return module.run(command)
+    except TorchlightError as error:
+        fail(str(error))
+        return NOTHING_STARTED
+    except KeyboardInterrupt:
+        fail("interrupted; finished photographs are complete, the others were not written")
+        return INTERRUPTED
+
+
+def fail(message: str) -> None:
+    """Prints one line on standard error."""
+    print(f"torchlight: {' '.join(message.split())}", file=sys.stderr)
+
+
+def show_warnings_in_one_line() -> None:
+    """Makes torchlight's own warnings one line on standard error, without the source line that raised them."""
+    import warnings
+
+    def show(message, category, filename, lineno, file=None, line=None) -> None:
+        print(f"torchlight: warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+    warnings.showwarning = show

@@ -1,0 +1,124 @@
+"""The commands and their options, as dataclasses that tyro turns into `torchlight <command>`.
+
+Nothing heavy is imported here: `--help` answers without torch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import arg
+
+Convention = Literal["torchlight", "blender", "openexr", "usd", "mitsuba", "skylibs", "threejs"]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Recover the light from photographs of a scene: OUT/<photo's stem>/light.exr and the evidence beside it.
+
+    Exit code: 0 all done, 1 some photographs failed (the others are complete), 2 nothing could start.
+    """
+
+    scene: Annotated[Path, tyro.conf.Positional, arg(metavar="SCENE")]
+    """Scene file (YAML); see docs/scenes.md."""
+    photos: Annotated[tuple[Path, ...], tyro.conf.Positional, arg(metavar="PHOTO [PHOTO ...]")]
+    """Photographs of that scene: PNG, JPEG, TIFF, EXR or HDR."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder that receives one folder per photograph."""
+    method: Annotated[Literal["texels", "haar", "sh"], arg(aliases=["--basis"])] = "texels"
+    """What light is made of: cube map texels, Haar wavelets on them, or spherical harmonics."""
+    resolution: int | None = None
+    """Texels along a cube map face's edge, a power of two up to 128. Default: 16; 32 under spherical harmonics."""
+    degree: int = 5
+    """Largest degree of spherical harmonics, (degree + 1)^2 coefficients; with --method sh."""
+    solver: Literal["nnls", "ridge", "adam"] = "nnls"
+    """nnls: exact, radiance nowhere negative. ridge: least squares, unconstrained. adam: projected gradients."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to solve; rays are always cast on the CPU."""
+    overwrite: bool = False
+    """Replace existing results."""
+    no_cache: bool = False
+    """Neither read nor write the scene's transport on disk."""
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render the scene's receiver under a light: the rectified plane, or the camera's view where the scene has one.
+
+    The values are albedo x irradiance / pi (albedo 1 where the scene gives none). In the camera's view occluders are
+    black and everything beyond the receiver is transparent.
+    """
+
+    scene: Annotated[Path, tyro.conf.Positional, arg(metavar="SCENE")]
+    """Scene file (YAML)."""
+    light: Annotated[Path, tyro.conf.Positional, arg(metavar="LIGHT")]
+    """EXR or HDR: a lat-long, a vertical cube cross or an angular map."""
+    out: Annotated[Path, arg(metavar="IMAGE")]
+    """Picture to write: .exr (linear, mask beside it) or .png (8-bit, encoded as the scene says, sRGB by default)."""
+    convention: Convention | None = None
+    """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
+    exposure: float = 1.0
+    """Factor applied before writing."""
+    rays: int = 32768
+    """Directions the light is cut into."""
+    overwrite: bool = False
+    """Replace an existing picture."""
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Compare a photograph with the scene relit by a light; JSON on standard output."""
+
+    scene: Annotated[Path, tyro.conf.Positional, arg(metavar="SCENE")]
+    """Scene file (YAML)."""
+    photo: Annotated[Path, tyro.conf.Positional, arg(metavar="PHOTO")]
+    """Photograph of the scene."""
+    light: Annotated[Path, tyro.conf.Positional, arg(metavar="LIGHT")]
+    """EXR or HDR: a lat-long, a vertical cube cross or an angular map."""
+    convention: Convention | None = None
+    """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
+    fit_scale: bool = False
+    """Fit one factor per channel first, and print the factors."""
+    rays: int = 32768
+    """Directions the light is cut into."""
+
+
+@dataclass(frozen=True)
+class Cache:
+    """List or clear the scenes' transports kept on disk (TORCHLIGHT_CACHE names the folder)."""
+
+    action: Annotated[Literal["list", "clear"], tyro.conf.Positional]
+    """What to do."""
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Print versions, whether Embree is there, which OpenCV wheels are installed, and the cache: for bug reports."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Photograph a block under a known sky, recover the sky from its shadow, and relight a second pose with it.
+
+    Ground truth is the block's analytic shadow, which shares nothing with the solver.
+    """
+
+    out: Path = Path("demo-out")
+    """Folder for the pictures; its demo files are replaced."""
+    probe: Path | None = None
+    """Any HDR environment (EXR or HDR) instead of the built-in sky."""
+    convention: Convention | None = None
+    """Axes of a lat-long probe."""
+
+
+Command = (
+    Annotated[Estimate, tyro.conf.subcommand("estimate")]
+    | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Cache, tyro.conf.subcommand("cache")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+    | Annotated[Demo, tyro.conf.subcommand("demo")]
+)

@@ -1,0 +1,193 @@
+"""`torchlight estimate`: photographs in, one folder per photograph out; no photograph stops the others."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from torchlight.cli import arguments, fail
+from torchlight.cli.progress import progress_bar
+from torchlight.errors import ConfigError, FormatError, TorchlightError
+from torchlight.geometry.scene import Scene
+from torchlight.inversion.linear import named_solver
+from torchlight.io.files import read_bytes, sha256_of
+from torchlight.io.images import read_photo
+from torchlight.io.scene_file import load_scene
+from torchlight.light.bases import Basis, HaarCubemap, SphericalHarmonics, Texels
+from torchlight.photo.observation import Observation
+from torchlight.pipeline import Estimate, explain, linearize, observe, precompute, visible_part
+from torchlight.results import Provenance, select, write_result
+from torchlight.solvers import Solver, Status
+from torchlight.solvers.solution import CAUSE_AND_CURE
+from torchlight.transfer import Transfer
+
+PHOTOS_PER_SOLVE = 32
+DEFAULT_RESOLUTION = 16
+DEFAULT_HARMONICS_RESOLUTION = 32  # harmonics vary within a texel: a finer transport keeps that below 0.1 of 255
+SOME_FAILED = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One photograph on its way: what it showed and how long that took."""
+
+    photo: Path
+    sha256: str
+    observation: Observation
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What all photographs of a call share."""
+
+    command: arguments.Estimate
+    scene: Scene
+    scene_sha256: str
+    basis: Basis
+    solver: Solver
+    device: torch.device
+    visible: Bool[Tensor, " points"]
+    transfer: Transfer
+    seconds: dict[str, float]
+
+
+def run(command: arguments.Estimate) -> int:
+    """Returns 0 when every photograph is done, 1 when some failed.
+
+    Raises:
+        TorchlightError: nothing could start.
+    """
+    check_places(command)
+    plan = prepare(command)
+    points = int(plan.visible.sum())
+    print(f"{command.scene}: {points} of {plan.scene.receiver.points} samples visible")
+    jobs = list(observed(plan))
+    failed = len(command.photos) - len(jobs)
+    for start in range(0, len(jobs), PHOTOS_PER_SOLVE):
+        failed += solve_and_write(plan, jobs[start : start + PHOTOS_PER_SOLVE])
+    if failed:
+        fail(f"{failed} of {len(command.photos)} photographs failed; the others are complete in {command.out}")
+    return SOME_FAILED if failed else 0
+
+
+def check_places(command: arguments.Estimate) -> None:
+    """Raises ConfigError or FormatError where results would collide with each other or with what is there."""
+    if not command.photos:
+        raise ConfigError("no photograph given; usage: torchlight estimate SCENE PHOTO... --out DIR")
+    by_stem: dict[str, Path] = {}
+    for photo in command.photos:
+        other = by_stem.setdefault(photo.stem, photo)
+        if other is not photo:
+            raise ConfigError(
+                f"{other} and {photo} would both be written to {command.out / photo.stem}; "
+                "rename one or estimate them in separate calls"
+            )
+    if command.out.exists() and not command.out.is_dir():
+        raise FormatError(f"{command.out}: exists and is not a folder; choose another --out")
+    existing = [str(command.out / stem) for stem in by_stem if (command.out / stem).exists()]
+    if existing and not command.overwrite:
+        more = f" and {len(existing) - 1} more" if len(existing) > 1 else ""
+        raise FormatError(f"{existing[0]}{more}: already there; pass --overwrite to replace, or choose another --out")
+
+
+def prepare(command: arguments.Estimate) -> Plan:
+    """Returns what all photographs share: the scene, the settings, the visible samples and the transport."""
+    seconds: dict[str, float] = {}
+    basis = named_basis(command)
+    solver = named_solver(command.solver, basis)
+    device = named_device(command.device)
+    with timed(seconds, "scene"):
+        scene = load_scene(command.scene)
+        visible = visible_part(scene)
+    with timed(seconds, "transport"), progress_bar("casting rays") as progress:
+        transfer = precompute(scene, basis.resolution, use_cache=not command.no_cache, progress=progress)
+    digest = sha256_of(read_bytes(command.scene))
+    return Plan(command, scene, digest, basis, solver, device, visible, transfer.to(device), seconds)
+
+
+def named_basis(command: arguments.Estimate) -> Basis:
+    """Returns the basis that the options name."""
+    if command.method == "sh":
+        return SphericalHarmonics(command.degree, command.resolution or DEFAULT_HARMONICS_RESOLUTION)
+    resolution = DEFAULT_RESOLUTION if command.resolution is None else command.resolution
+    return Texels(resolution) if command.method == "texels" else HaarCubemap(resolution)
+
+
+def named_device(name: str) -> torch.device:
+    """Returns the device that an option names; "auto" is the GPU where there is one.
+
+    Raises:
+        ConfigError: "cuda" without a usable GPU.
+    """
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("--device cuda: this torch finds no GPU; use --device auto or cpu")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def observed(plan: Plan) -> Iterator[Job]:
+    """Yields what each photograph shows; a photograph that cannot be used is reported in one line and left out."""
+    for photo in plan.command.photos:
+        start = time.perf_counter()
+        try:
+            stored = read_photo(photo)
+            observation = observe(linearize(stored, plan.scene), plan.scene, plan.visible)
+        except TorchlightError as error:
+            fail(str(error) if str(photo) in str(error) else f"{photo}: {error}")
+            continue
+        yield Job(photo, stored.sha256, observation, time.perf_counter() - start)
+
+
+def solve_and_write(plan: Plan, jobs: Sequence[Job]) -> int:
+    """Solves photographs together, writes each one's folder, and returns how many failed."""
+    start = time.perf_counter()
+    samples = torch.stack([job.observation.samples for job in jobs]).to(plan.device)
+    weights = torch.stack([job.observation.weights for job in jobs]).to(plan.device)
+    estimate = explain(Observation(samples, weights), plan.scene, plan.transfer, plan.basis, plan.solver)
+    share = (time.perf_counter() - start) / len(jobs)
+    return sum(not write(plan, job, select(estimate, item), share) for item, job in enumerate(jobs))
+
+
+def write(plan: Plan, job: Job, estimate: Estimate, solve_seconds: float) -> bool:
+    """Writes one photograph's folder and says so in one line; returns whether all went well."""
+    command = plan.command
+    seconds = {**plan.seconds, "photograph": job.seconds, "solve": solve_seconds}
+    provenance = Provenance(plan.scene_sha256, job.sha256, str(job.photo), command.method, command.solver, seconds)
+    unusable = unusable_channels(estimate)
+    if unusable:
+        fail(f"{job.photo}: {unusable}")
+        return False
+    try:
+        result = write_result(command.out / job.photo.stem, estimate, plan.scene, provenance, command.overwrite)
+    except TorchlightError as error:
+        fail(f"{job.photo}: {error}")
+        return False
+    short = "" if set(result["status"]) == {"converged"} else "; the solver stopped short: see kkt_residual"
+    print(
+        f"{command.out / job.photo.stem}: RMS {result['rms_255']:.2f} of 255 on {result['points']} samples, "
+        f"{result['preview_clipped_flux']:.0%} of the flux clipped in light.png{short}"
+    )
+    return True
+
+
+def unusable_channels(estimate: Estimate) -> str:
+    """Returns why a solve gave no light, or an empty string."""
+    for value in estimate.solution.status.tolist():
+        if Status(value) in (Status.NOT_FINITE, Status.NO_OBSERVATIONS):
+            return CAUSE_AND_CURE[Status(value)]
+    return ""
+
+
+@contextmanager
+def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    """Adds the seconds spent in a block under a stage's name."""
+    start = time.perf_counter()
+    yield
+    seconds[stage] = time.perf_counter() - start

@@ -1,0 +1,75 @@
+"""`torchlight render`: a scene's receiver under a light, as a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from kornia.color import linear_rgb_to_rgb
+
+from torchlight.cli import arguments
+from torchlight.cli.progress import progress_bar
+from torchlight.errors import ConfigError, FormatError
+from torchlight.io.exr import write_exr
+from torchlight.io.images import write_png
+from torchlight.io.lights import read_light
+from torchlight.io.scene_file import load_scene
+from torchlight.results import light_is
+from torchlight.view import View, render
+
+SUFFIXES = (".exr", ".png")
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a picture goes, and where its mask goes."""
+
+    picture: Path
+    mask: Path
+
+
+def run(command: arguments.Render) -> int:
+    """Writes the picture and says what its values are."""
+    target = check_target(command)
+    scene = load_scene(command.scene)
+    light = read_light(command.light, command.convention)
+    with progress_bar("casting rays") as progress:
+        view = render(scene, light, command.rays, progress)
+    if target.picture.suffix.lower() == ".exr":
+        metadata = {"values": f"{command.exposure:g} x albedo x irradiance / pi", "light_is": light_is(scene)}
+        write_exr(target.picture, view.values * command.exposure, metadata)
+        write_png(target.mask, (view.shows_plane * 255).byte().numpy())
+        print(f"{target.picture}: linear, brightest {view.values.max().item() * command.exposure:.3g}; {target.mask}")
+    else:
+        clipped = write_display(target.picture, view, command.exposure, scene.encoding or "srgb")
+        print(f"{target.picture}: 8-bit {scene.encoding or 'srgb'}, {clipped:.1%} of the receiver's pixels clipped")
+    return 0
+
+
+def check_target(command: arguments.Render) -> Target:
+    """Returns where to write.
+
+    Raises:
+        ConfigError: a suffix other than .exr and .png, or an exposure that is not positive.
+        FormatError: the picture exists and may not be replaced.
+    """
+    if command.out.suffix.lower() not in SUFFIXES:
+        raise ConfigError(f"--out {command.out}: expected a name that ends in .exr or .png")
+    if not 0 < command.exposure < float("inf"):
+        raise ConfigError(f"--exposure: expected a positive number, got {command.exposure}")
+    if command.out.exists() and not command.overwrite:
+        raise FormatError(f"{command.out}: already there; pass --overwrite to replace it")
+    return Target(command.out, command.out.with_name(f"{command.out.stem}_mask.png"))
+
+
+def write_display(path: Path, view: View, exposure: float, encoding: str) -> float:
+    """Writes an 8-bit PNG with alpha and returns the share of the receiver's pixels that were clipped."""
+    linear = view.values * exposure
+    values = linear.clamp(0, 1)
+    encoded = linear_rgb_to_rgb(values) if encoding == "srgb" else values
+    alpha = view.opaque[None].to(encoded)
+    image = (torch.cat([encoded, alpha]) * 255).round().byte().permute(1, 2, 0).contiguous()
+    write_png(path, image.numpy())
+    clipped = (linear > 1).any(dim=0) & view.shows_plane
+    return (clipped.sum() / view.shows_plane.sum().clamp(min=1)).item()

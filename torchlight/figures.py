@@ -1,0 +1,144 @@
+"""Pictures of results as PNG bytes: what was observed, what the light predicts, what is left; and the light itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from io import BytesIO
+
+import matplotlib as mpl
+import numpy as np
+import torch
+from jaxtyping import Float
+from kornia.color import linear_rgb_to_rgb
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from torchlight.geometry.receiver import Receiver
+from torchlight.light.environment import EnvironmentMap, flux, luminance
+from torchlight.photo.observation import Observation
+
+UNUSED = 0.55  # grey of samples that were not used
+PREVIEW_PERCENTILE = 98.0
+PREVIEW_LEVEL = 0.8  # linear value given to that percentile of the pixels that hold light
+DIVERGING = "PuOr"  # readable with every common colour blindness
+MIN_SCALE_255 = 1.0
+
+
+@dataclass(frozen=True)
+class Preview:
+    """A tone-mapped light as PNG bytes, and what the tone map lost.
+
+    Attributes:
+        png: 8-bit sRGB lat-long picture.
+        scale: the factor from radiance to linear picture values.
+        clipped_flux: share of the luminance flux on the plane above white.
+    """
+
+    png: bytes
+    scale: float
+    clipped_flux: float
+
+
+def fit_picture(
+    observation: Observation,
+    predicted: Float[Tensor, "3 points"],
+    receiver: Receiver,
+    units: str,
+    title: str,
+    names: tuple[str, str] = ("observed", "predicted"),
+) -> bytes:
+    """Returns a PNG of the observed and the predicted receiver and of their difference, with scales.
+
+    Observed and predicted are shown as sRGB with white at the brightest used sample; the difference is that of the
+    luminance, predicted - observed, in 255ths of the same white. Samples that were not used are grey.
+    """
+    used = observation.weights > 0
+    white = observation.samples[:, used].max().item()
+    difference = luminance(predicted - observation.samples) * (255.0 / white)
+    limit = max(MIN_SCALE_255, float(torch.quantile(difference[used].abs().double(), 0.998)))
+    figure = Figure(figsize=(13.5, 4.6), dpi=110, layout="constrained")
+    axes = figure.subplots(1, 3, sharex=True, sharey=True)
+    extent = _extent(receiver)
+    for axis, values, name in zip(axes[:2], (observation.samples, predicted), names, strict=True):
+        axis.imshow(_picture(values / white, used, receiver), extent=extent, interpolation="nearest")
+        _label(axis, name, units)
+    shown = torch.where(used, difference, torch.nan).reshape(receiver.samples[::-1]).flip(0).numpy(force=True)
+    colours = mpl.colormaps[DIVERGING].with_extremes(bad=(UNUSED, UNUSED, UNUSED))
+    image = axes[2].imshow(shown, extent=extent, cmap=colours, vmin=-limit, vmax=limit, interpolation="nearest")
+    _label(axes[2], f"{names[1]} - {names[0]} (luminance)", units)
+    figure.colorbar(image, ax=axes[2], shrink=0.85, extend="both", label="1/255 of the brightest sample")
+    figure.suptitle(title, fontsize=11)
+    return png_bytes(figure)
+
+
+def preview(environment: EnvironmentMap) -> Preview:
+    """Returns a tone-mapped picture of a map: one exposure for all, clipped to [0, 1], encoded as sRGB."""
+    radiance = environment.radiance.detach().double().cpu()
+    brightness = luminance(radiance.flatten(start_dim=1)).clamp(min=0)
+    lit = brightness[brightness > 0]
+    level = float(np.percentile(lit.numpy(), PREVIEW_PERCENTILE)) if len(lit) else 1.0
+    scale = PREVIEW_LEVEL / level
+    flows = flux(EnvironmentMap(radiance.clamp(min=0)))
+    lost = flows * (1 - (1 / (radiance * scale).clamp(min=1e-12)).clamp(max=1))
+    total = luminance(flows.flatten(start_dim=1)).sum().item()
+    share = luminance(lost.flatten(start_dim=1)).sum().item() / total if total > 0 else 0.0
+    return Preview(encode_png(to_srgb8(radiance * scale)), scale, share)
+
+
+def to_srgb8(linear: Float[Tensor, "3 height width"]) -> np.ndarray:
+    """Returns linear values as 8-bit sRGB, [height, width, 3]; clipped to [0, 1]."""
+    encoded = linear_rgb_to_rgb(linear.clamp(0, 1))
+    return (encoded * 255).round().byte().permute(1, 2, 0).contiguous().numpy(force=True)
+
+
+def encode_png(image: np.ndarray) -> bytes:
+    """Returns an 8-bit picture, [height, width, 3 or 4], as PNG bytes."""
+    from PIL import Image
+
+    buffer = BytesIO()
+    Image.fromarray(image).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def png_bytes(figure: Figure) -> bytes:
+    """Returns a figure drawn as PNG."""
+    buffer = BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer)
+    return buffer.getvalue()
+
+
+def _picture(values: Float[Tensor, "3 points"], used: Tensor, receiver: Receiver) -> np.ndarray:
+    columns, rows = receiver.samples
+    encoded = linear_rgb_to_rgb(values.clamp(0, 1).reshape(3, rows, columns)).reshape(3, -1)
+    shown = torch.where(used, encoded, torch.full_like(encoded, UNUSED)).reshape(3, rows, columns)
+    return shown.flip(1).permute(1, 2, 0).numpy(force=True)
+
+
+def _extent(receiver: Receiver) -> tuple[float, float, float, float]:
+    (x, y), (width, height) = receiver.center, receiver.size
+    return x - width / 2, x + width / 2, y - height / 2, y + height / 2
+
+
+def _label(axis: Axes, title: str, units: str) -> None:
+    axis.set_title(title)
+    axis.set_xlabel(f"x [{units}]")
+    axis.set_ylabel(f"y [{units}]")
+    axis.set_aspect("equal")
+
+
+def light_comparison(truth: EnvironmentMap, found: EnvironmentMap) -> bytes:
+    """Returns a PNG of the upper hemispheres of a true and a recovered light at one exposure, one above the other."""
+    shown = preview(truth)
+    figure = Figure(figsize=(9.5, 5.6), dpi=110, layout="constrained")
+    axes = figure.subplots(2, 1, sharex=True)
+    for axis, light, name in ((axes[0], truth, "true light"), (axes[1], found, "light recovered from the shadow")):
+        upper = light.radiance[:, : light.height // 2].double() * shown.scale
+        axis.imshow(to_srgb8(upper), extent=(180, -180, 0, 90), aspect="auto", interpolation="nearest")
+        axis.set_title(name)
+        axis.set_ylabel("elevation [degrees]")
+        axis.set_yticks([0, 30, 60, 90])
+    axes[1].set_xlabel("azimuth [degrees], 0 = +x, 90 = +y")
+    axes[1].set_xticks([180, 90, 0, -90, -180])
+    return png_bytes(figure)

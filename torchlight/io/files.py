@@ -1,0 +1,58 @@
+"""Reading a file's bytes, with one-line reasons when that is not possible."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from torchlight.errors import FormatError
+
+MAX_BYTES = 4 * 2**30
+MAX_PIXELS = 400_000_000
+
+
+def read_bytes(path: str | Path, limit: int = MAX_BYTES) -> bytes:
+    """Returns the whole file.
+
+    Args:
+        path: the file.
+        limit: largest accepted size in bytes; larger files are refused before they are read.
+
+    Raises:
+        FormatError: missing, a folder, empty, larger than `limit` or unreadable.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise FormatError(f"{path}: expected a file, got a folder; name the file inside it")
+        size = path.stat().st_size
+        if size > limit:
+            raise FormatError(f"{path}: {size:,} bytes is more than the limit of {limit:,}; use a smaller file")
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise FormatError(f"{path}: no such file; check the name and the folder") from error
+    except FormatError:
+        raise
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{one_line(str(path))}: cannot be read: {reason(error)}") from error
+    if not data:
+        raise FormatError(f"{path}: the file is empty; write it again")
+    return data
+
+
+def sha256_of(data: bytes) -> str:
+    """Returns the SHA-256 of the bytes, in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def reason(error: BaseException) -> str:
+    """Returns what an exception says, on one line; an OSError without its number and path."""
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return one_line(text) or type(error).__name__
+
+
+def one_line(text: str, limit: int = 200) -> str:
+    """Returns the text with all white space and control characters as single spaces, shortened to `limit`."""
+    printable = "".join(character if character.isprintable() else " " for character in text)
+    flat = " ".join(printable.split())
+    return flat if len(flat) <= limit else flat[: limit - 3] + "..."

@@ -1,0 +1,126 @@
+"""Scene files: a YAML description of what casts, what receives and what looks, read strictly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from torchlight.camera import Camera
+from torchlight.errors import CalibrationError, SceneError, TorchlightError
+from torchlight.geometry.receiver import Receiver
+from torchlight.geometry.scene import Scene
+from torchlight.io import fields
+from torchlight.io.fields import Field
+from torchlight.io.files import MAX_PIXELS
+from torchlight.io.images import read_mask
+from torchlight.io.occluders import read_occluders
+from torchlight.io.yaml_file import read_yaml
+
+_SCENE_KEYS = ("units", "occluders", "receiver", "camera", "photo", "reference", "mask")
+_RECEIVER_KEYS = ("center", "size", "samples", "albedo")
+_CAMERA_KEYS = ("image_size", "K", "distortion", "world_to_camera")
+_DISTORTION_LENGTHS = (4, 5, 8, 12, 14)
+ENCODINGS = ("srgb", "linear")
+REFERENCES = ("uniform", "smooth")
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Returns the scene that a YAML file describes; paths in it are relative to the file.
+
+    `configs/scenes` holds a commented example of each kind.
+
+    Raises:
+        FormatError: the file, or a mesh or mask it names, is missing, truncated or not what its name says.
+        ConfigError: an unknown or missing key, a wrong type, a tag or a duplicate key.
+        SceneError: a degenerate occluder, one that casts no shadow, or a receiver without samples.
+        CalibrationError: a camera that cannot be right.
+    """
+    path = Path(path)
+    document, _ = read_yaml(path)
+    root = Field(document, path, "")
+    known = fields.mapping(root, _SCENE_KEYS)
+    occluders = fields.required(known, "occluders", root, "occluders: [{box: [100, 60, 120]}]")
+    receiver = fields.required(known, "receiver", root, "receiver: {size: [400, 300], samples: [128, 96]}")
+    camera = _camera(known["camera"]) if "camera" in known else None
+    return Scene(
+        receiver=_receiver(replace(receiver, error=SceneError)),
+        triangles=read_occluders(replace(occluders, error=SceneError)),
+        camera=camera,
+        units=fields.text(known["units"]) if "units" in known else "unit",
+        encoding=_encoding(known["photo"]) if "photo" in known else None,
+        reference=fields.choice(known["reference"], REFERENCES) if "reference" in known else "uniform",
+        mask=_mask(known["mask"], camera) if "mask" in known else None,
+    )
+
+
+def _receiver(field: Field) -> Receiver:
+    known = fields.mapping(field, _RECEIVER_KEYS)
+    size = fields.numbers(fields.required(known, "size", field, "size: [400, 300]"), 2)
+    samples = fields.integers(fields.required(known, "samples", field, "samples: [128, 96]"), 2)
+    center = fields.numbers(known["center"], 2) if "center" in known else (0.0, 0.0)
+    albedo = _albedo(known["albedo"]) if "albedo" in known else None
+    try:
+        return Receiver((center[0], center[1]), (size[0], size[1]), (samples[0], samples[1]), albedo)
+    except SceneError as error:
+        raise SceneError(f"{field.file}: {error}") from error
+
+
+def _albedo(field: Field) -> tuple[float, float, float]:
+    if isinstance(field.value, list):
+        red, green, blue = fields.numbers(field, 3)
+        return red, green, blue
+    grey = fields.number(field)
+    return grey, grey, grey
+
+
+def _camera(field: Field) -> Camera:
+    field = replace(field, error=CalibrationError)
+    known = fields.mapping(field, _CAMERA_KEYS)
+    width, height = fields.integers(fields.required(known, "image_size", field, "image_size: [1920, 1080]"), 2)
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+        known["image_size"].fail(
+            f"expected two positive integers, at most {MAX_PIXELS:,} pixels, got {width}, {height}"
+        )
+    intrinsics = fields.matrix(
+        fields.required(known, "K", field, "K: [[1600, 0, 960], [0, 1600, 540], [0, 0, 1]]"), 3, 3
+    )
+    pose = fields.matrix(
+        fields.required(known, "world_to_camera", field, "world_to_camera: four rows of four numbers [R|t]"), 4, 4
+    )
+    distortion = _distortion(known["distortion"]) if "distortion" in known else torch.zeros(5, dtype=torch.float64)
+    try:
+        return Camera(intrinsics, pose, (width, height), distortion)
+    except TorchlightError as error:
+        raise CalibrationError(f"{field.file}: {error}") from error
+
+
+def _distortion(field: Field) -> Tensor:
+    expected = f"a list of {', '.join(map(str, _DISTORTION_LENGTHS))} numbers in OpenCV's order k1 k2 p1 p2 k3 ..."
+    values = [fields.number(item) for item in fields.items(field, expected)]
+    if len(values) not in _DISTORTION_LENGTHS:
+        field.fail(f"expected {expected}, got {len(values)}")
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def _encoding(field: Field) -> str | None:
+    known = fields.mapping(field, ("encoding",))
+    return fields.choice(known["encoding"], ENCODINGS) if "encoding" in known else None
+
+
+def _mask(field: Field, camera: Camera | None) -> Bool[Tensor, "height width"]:
+    file = field.file.parent / fields.text(field)
+    try:
+        mask = read_mask(file)
+    except TorchlightError as error:
+        raise type(error)(field.describe(str(error))) from error
+    height, width = mask.shape
+    if camera is not None and (width, height) != camera.image_size:
+        expected = f"{camera.image_size[0]} x {camera.image_size[1]}"
+        field.fail(f"{file} has {width} x {height} pixels, but camera.image_size is {expected}; they must agree")
+    if not bool(mask.any()):
+        field.fail(f"{file} is zero everywhere, so no pixel may be used; paint what may be used in white")
+    return mask

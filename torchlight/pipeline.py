@@ -1,0 +1,242 @@
+"""The story: a photograph of a shadow in, an environment map out. Read me first.
+
+linear      = linearize(photo, scene)               [*batch 3 height width], relative radiance
+observation = observe(linear, scene)                samples [*batch 3 points], weights [*batch points]
+transfer    = precompute(scene, resolution)         T [points texels], shared by every photograph
+solution    = solve_light(transfer, basis, ...)     coefficients, status, certificate
+light       = synthesize(basis, coefficients)       EnvironmentMap
+predicted   = albedo / pi * T c                     what the receiver would show under that light
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchlight import metrics
+from torchlight.camera import project
+from torchlight.errors import CalibrationError, ConfigError, SceneError
+from torchlight.geometry.footprints import footprint_points, subpoints_for, visible_samples
+from torchlight.geometry.receiver import sample_centers
+from torchlight.geometry.scene import Scene
+from torchlight.geometry.visibility import backend
+from torchlight.inversion.linear import default_solver, solve_light
+from torchlight.io import cache
+from torchlight.io.images import Photo
+from torchlight.light.bases import Basis, SphericalHarmonics, Texels
+from torchlight.light.environment import EnvironmentMap
+from torchlight.light.peaks import Peaks, environment_peaks, texel_peaks
+from torchlight.light.synthesis import synthesize
+from torchlight.photo import radiometry, reference
+from torchlight.photo.observation import LinearPhoto, Observation, linear_photo
+from torchlight.photo.rectification import from_camera, from_rectified
+from torchlight.relighting import albedo_over_pi, irradiance
+from torchlight.solvers import Solution, Solver
+from torchlight.transfer import ALGORITHM, Transfer, transport
+
+DIRECTIONS_PER_EDGE = 192  # see docs/convergence.md
+DEFAULT_BASIS = Texels(16)
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Light, and the evidence for it.
+
+    Attributes:
+        light: the recovered environment map.
+        solution: coefficients, status and certificates per photograph and channel.
+        basis: what the coefficients multiply.
+        observation: what the photographs showed, after the reference was divided out.
+        predicted: what the receiver shows under the light, same units as the observation.
+        peaks: directions of the strongest sources.
+    """
+
+    light: EnvironmentMap
+    solution: Solution
+    basis: Basis
+    observation: Observation
+    predicted: Float[Tensor, "*batch 3 points"]
+    peaks: Peaks
+
+    @property
+    def rms_255(self) -> Float[Tensor, "*batch"]:
+        """RMS residual over valid samples in units of the brightest valid one / 255."""
+        return metrics.rms_255(self.predicted, self.observation.samples, self.observation.weights)
+
+
+def estimate(
+    photos: LinearPhoto | Float[Tensor, "*batch 3 height width"],
+    scene: Scene,
+    basis: Basis = DEFAULT_BASIS,
+    solver: Solver | None = None,
+    transfer: Transfer | None = None,
+) -> Estimate:
+    """Returns the light that explains linear photographs of a scene, all of them and all channels at once.
+
+    Args:
+        photos: linear photographs (`linearize`), or rectified receiver images where the scene has no camera.
+        scene: occluders, receiver, camera.
+        basis: what light is made of.
+        solver: None = exact and non-negative.
+        transfer: from `precompute`; computed when absent.
+    """
+    linear = photos if isinstance(photos, LinearPhoto) else linear_photo(photos)
+    observation = observe(linear, scene)
+    transfer = precompute(scene, basis.resolution) if transfer is None else transfer
+    return explain(observation, scene, transfer, basis, default_solver(basis) if solver is None else solver)
+
+
+def explain(observation: Observation, scene: Scene, transfer: Transfer, basis: Basis, solver: Solver) -> Estimate:
+    """Returns the light that explains observations of one scene, with its prediction."""
+    transfer = transfer.to(device=observation.samples.device)
+    factor = albedo_over_pi(scene.receiver, observation.samples)
+    received = replace(observation, samples=observation.samples / factor)
+    solution = solve_light(transfer, basis, received, solver)
+    predicted = factor * irradiance(transfer.project(basis), solution.coefficients).to(factor)
+    light = synthesize(basis, solution.coefficients)
+    return Estimate(light, solution, basis, observation, predicted, find_peaks(basis, solution, light))
+
+
+def linearize(photo: Photo, scene: Scene) -> LinearPhoto:
+    """Returns a stored photograph in linear units, with the pixels that saturation leaves.
+
+    Raises:
+        ConfigError: an 8- or 16-bit photograph whose encoding the scene does not state.
+    """
+    encoding = radiometry.resolve_encoding(scene.encoding, photo.bits)
+    linear = linear_photo(radiometry.linearize(photo.pixels, encoding))
+    return LinearPhoto(linear.radiance, linear.usable & ~radiometry.saturated(photo.pixels, photo.bits))
+
+
+def observe(photo: LinearPhoto, scene: Scene, visible: Bool[Tensor, " points"] | None = None) -> Observation:
+    """Returns what photographs say about the receiver's samples, the scene's reference divided out.
+
+    Args:
+        photo: linear photographs.
+        scene: receiver, camera, mask and reference.
+        visible: from `visible_part`; computed when absent, worth keeping for many photographs.
+
+    Raises:
+        CalibrationError: the photograph's size is not the camera's.
+        SceneError: no sample is visible, or none is usable and lit.
+    """
+    visible = visible_part(scene) if visible is None else visible
+    observation = sample_photo(photo, scene, visible)
+    check_lit(observation)
+    if scene.reference == "smooth":
+        observation = reference.divide(observation, reference.smooth(observation, sample_centers(scene.receiver)))
+    return observation
+
+
+def visible_part(scene: Scene) -> Bool[Tensor, " points"]:
+    """Returns which samples a photograph of the scene can show; with no camera the scene's mask counts here.
+
+    Raises:
+        SceneError: none.
+    """
+    visible = visible_samples(scene)
+    if scene.mask is not None and scene.camera is None:
+        kept = from_rectified(
+            LinearPhoto(scene.mask.float().expand(3, -1, -1), scene.mask), scene.receiver.samples, visible
+        )
+        visible = kept.weights > 0
+    if not bool(visible.any()):
+        where = "no sample of the receiver" if scene.camera is None else "the camera sees no sample of the receiver"
+        raise SceneError(f"{where} can be used; check the pose, the receiver's place and size, and the mask")
+    return visible
+
+
+def sample_photo(photo: LinearPhoto, scene: Scene, visible: Bool[Tensor, " points"]) -> Observation:
+    """Returns the photograph averaged over every sample's footprint, before any reference."""
+    if scene.camera is None:
+        return from_rectified(photo, scene.receiver.samples, visible)
+    height, width = photo.radiance.shape[-2:]
+    if (width, height) != scene.camera.image_size:
+        raise CalibrationError(
+            f"the photograph has {width} x {height} pixels but camera.image_size says "
+            f"{scene.camera.image_size[0]} x {scene.camera.image_size[1]}; use the size the camera was calibrated at"
+        )
+    if scene.mask is not None:
+        photo = masked(photo, scene.mask)
+    points = footprint_points(scene.receiver, subpoints_for(scene.camera, scene.receiver))
+    return from_camera(photo, project(scene.camera, points), visible)
+
+
+def masked(photo: LinearPhoto, mask: Bool[Tensor, "height width"]) -> LinearPhoto:
+    """Returns the photograph without the pixels that the mask forbids; ConfigError where their sizes differ."""
+    if mask.shape != photo.usable.shape[-2:]:
+        (height, width), (rows, columns) = photo.usable.shape[-2:], mask.shape
+        raise ConfigError(
+            f"mask: {columns} x {rows} pixels, but the photograph has {width} x {height}; "
+            "draw the mask over the photograph at its full size"
+        )
+    return replace(photo, usable=photo.usable & mask.to(photo.usable.device))
+
+
+def check_lit(observation: Observation) -> None:
+    """Raises SceneError where a photograph has no usable sample or is black on all of them."""
+    usable = observation.weights > 0
+    if not bool(usable.any(dim=-1).all()):
+        raise SceneError(
+            "no sample of the photograph can be used: all are masked, saturated, not finite or hidden; "
+            "check the mask, the exposure and the camera's pose"
+        )
+    brightest = metrics.brightest(observation.samples, observation.weights)
+    if bool(brightest.isnan().any()):
+        raise SceneError("the photograph is black on the receiver; check that it is the right file and its exposure")
+
+
+def precompute(
+    scene: Scene,
+    resolution: int = 16,
+    subsamples: int | None = None,
+    use_cache: bool = True,
+    progress: Progress | None = None,
+) -> Transfer:
+    """Returns the transport of a scene, from the disk cache if it is there: the slow part, shared by all photos.
+
+    Args:
+        scene: occluders and receiver; camera, mask, reference and albedo play no part.
+        resolution: texels along a cube map face's edge.
+        subsamples: directions along a texel's edge; None = as many as make 192 along a face's edge, at least 2.
+        use_cache: False = neither read nor write the cache.
+        progress: called with (work done, work).
+    """
+    count = subsamples if subsamples is not None else max(2, DIRECTIONS_PER_EDGE // resolution)
+    if not use_cache:
+        return transport(scene, resolution, count, progress)
+    key = transport_key(scene, resolution, count)
+    stored = cache.load(key)
+    if stored is not None:
+        return Transfer(stored["transport"], resolution)
+    result = transport(scene, resolution, count, progress)
+    cache.store(key, {"transport": result.transport}, {"algorithm": ALGORITHM, "resolution": str(resolution)})
+    return result
+
+
+def transport_key(scene: Scene, resolution: int, subsamples: int) -> str:
+    """Returns the content key of a transport: everything its numbers depend on, and nothing else."""
+    receiver = scene.receiver
+    return cache.content_key(
+        {
+            "triangles": scene.triangles,
+            "center": receiver.center,
+            "size": receiver.size,
+            "samples": receiver.samples,
+            "resolution": resolution,
+            "subsamples": subsamples,
+            "backend": backend(),
+            "algorithm": ALGORITHM,
+        }
+    )
+
+
+def find_peaks(basis: Basis, solution: Solution, light: EnvironmentMap) -> Peaks:
+    """Returns the strongest sources: on the solver's texels where the basis has them, else on the map."""
+    if isinstance(basis, SphericalHarmonics):
+        return environment_peaks(light)
+    return texel_peaks(basis.synthesis(solution.coefficients), basis.resolution)

@@ -1,0 +1,177 @@
+"""What comes out: one folder per photograph, complete or absent."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from safetensors.torch import save_file
+from torch import Tensor
+
+from torchlight import figures, metrics
+from torchlight.geometry.scene import Scene
+from torchlight.io.atomic import partial_folder, write_atomically
+from torchlight.io.lights import write_light
+from torchlight.light.environment import EnvironmentMap
+from torchlight.light.peaks import Peaks
+from torchlight.photo.observation import Observation
+from torchlight.pipeline import Estimate
+from torchlight.solvers import Status
+
+CONVENTION = "torchlight: Z up, row 0 = zenith, image centre looks along +X (Blender's lat-long)"
+ZERO = 1e-9  # of the largest coefficient: counted as nonzero above it
+LIBRARIES = (
+    "torchlight",
+    "torch",
+    "kornia",
+    "numpy",
+    "trimesh",
+    "embreex",
+    "OpenEXR",
+    "opencv-contrib-python-headless",
+)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a result comes from.
+
+    Attributes:
+        scene_sha256: of the scene file.
+        photo_sha256: of the photograph.
+        photo: its path as given.
+        method: texels, haar or sh.
+        solver: nnls, ridge or adam.
+        seconds: by stage.
+    """
+
+    scene_sha256: str
+    photo_sha256: str
+    photo: str
+    method: str
+    solver: str
+    seconds: Mapping[str, float]
+
+
+def select(estimate: Estimate, item: int) -> Estimate:
+    """Returns the estimate of one photograph of a batch."""
+    solution = estimate.solution
+    fields = ("coefficients", "status", "steps", "relative_residual", "kkt_residual", "gap")
+    return Estimate(
+        light=EnvironmentMap(estimate.light.radiance[item], bool((estimate.light.radiance[item] >= 0).all())),
+        solution=replace(solution, **{name: getattr(solution, name)[item] for name in fields}),
+        basis=estimate.basis,
+        observation=Observation(estimate.observation.samples[item], estimate.observation.weights[item]),
+        predicted=estimate.predicted[item],
+        peaks=Peaks(estimate.peaks.directions[item], estimate.peaks.shares[item]),
+    )
+
+
+def write_result(
+    folder: Path, estimate: Estimate, scene: Scene, provenance: Provenance, overwrite: bool = False
+) -> dict[str, Any]:
+    """Writes the folder of one photograph and returns what result.json holds.
+
+    light.exr, light.hdr and light.png (the light), fit.png, estimate.safetensors, result.json, timing.json.
+
+    Raises:
+        FormatError: the folder exists and `overwrite` is False, or it cannot be written.
+    """
+    preview = figures.preview(estimate.light)
+    result = {**summary(estimate, scene, provenance), "preview_clipped_flux": preview.clipped_flux}
+    title = f"{Path(provenance.photo).name}: RMS {result['rms_255']:.2f} of 255, {result['points']} samples"
+    fit = figures.fit_picture(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)
+    with partial_folder(folder, overwrite=overwrite) as partial:
+        metadata = {key: result[key] for key in ("method", "resolution", "photo_sha256", "scene_sha256", "light_is")}
+        write_light(partial / "light.exr", estimate.light, metadata)
+        write_light(partial / "light.hdr", estimate.light, {})
+        write_atomically(partial / "light.png", preview.png)
+        write_atomically(partial / "fit.png", fit)
+        save_file(tensors(estimate), partial / "estimate.safetensors")
+        write_json(partial / "timing.json", {"seconds": dict(provenance.seconds)})
+        write_json(partial / "result.json", result)
+    return result
+
+
+def tensors(estimate: Estimate) -> dict[str, Tensor]:
+    """Returns what estimate.safetensors holds: coefficients, status and the observation they explain."""
+    named = {
+        "coefficients": estimate.solution.coefficients,
+        "status": estimate.solution.status,
+        "samples": estimate.observation.samples,
+        "weights": estimate.observation.weights,
+        "predicted": estimate.predicted,
+    }
+    return {name: tensor.detach().cpu().contiguous() for name, tensor in named.items()}
+
+
+def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[str, Any]:
+    """Returns the figures of one photograph's estimate, ready for JSON (NaN as null)."""
+    solution, observation = estimate.solution, estimate.observation
+    directions = [direction for direction in estimate.peaks.directions.tolist() if direction[0] == direction[0]]
+    points = int((observation.weights > 0).sum())
+    coefficients = solution.coefficients
+    largest = coefficients.abs().amax(dim=-1, keepdim=True)
+    return {
+        "photo": provenance.photo,
+        "rms_255": number(estimate.rms_255),
+        "rms_relative": number(metrics.rms_relative(estimate.predicted, observation.samples, observation.weights)),
+        "points": points,
+        "samples": scene.receiver.points,
+        "visible": points / scene.receiver.points,
+        "method": provenance.method,
+        "resolution": estimate.basis.resolution,
+        "solver": provenance.solver,
+        "coefficients": estimate.basis.size,
+        "nonzero": ((coefficients.abs() > ZERO * largest).sum(dim=-1)).tolist(),
+        "nonnegative": estimate.light.nonnegative,
+        "status": [Status(value).name.lower() for value in solution.status.tolist()],
+        "steps": solution.steps.tolist(),
+        "kkt_residual": [number(value) for value in solution.kkt_residual],
+        "gap": [number(value) for value in solution.gap],
+        "peak_direction": directions[0] if directions else None,
+        "peaks": [
+            {"direction": direction, "share": share}
+            for direction, share in zip(directions, estimate.peaks.shares.tolist(), strict=False)
+        ],
+        "reference": scene.reference,
+        "units": "relative",
+        "light_is": light_is(scene),
+        "length_unit": scene.units,
+        "convention": CONVENTION,
+        "photo_sha256": provenance.photo_sha256,
+        "scene_sha256": provenance.scene_sha256,
+        "versions": versions(),
+    }
+
+
+def light_is(scene: Scene) -> str:
+    """Returns what the recovered radiance is relative to."""
+    return "radiance x albedo x exposure" if scene.receiver.albedo is None else "radiance x exposure"
+
+
+def versions() -> dict[str, str]:
+    """Returns the versions that results depend on; "absent" for what is not installed."""
+    found = {"python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "absent"
+    return found
+
+
+def number(value: Tensor) -> float | None:
+    """Returns a scalar tensor as a float, None for NaN or infinity (JSON has neither)."""
+    scalar = float(value)
+    return scalar if abs(scalar) < float("inf") else None
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Writes readable JSON, complete or not at all."""
+    write_atomically(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
