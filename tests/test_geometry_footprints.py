@@ -181,8 +181,8 @@ def test_a_distortion_that_folds_back_into_the_frame_shows_nothing_there() -> No
 
 
 def test_a_pose_so_near_that_a_footprint_spans_many_pixels_gets_as_many_points() -> None:
-    """At 290 pixels from height 10 a footprint of 0.5 is 14.5 pixels wide; from height 100, 1.45 pixels."""
-    near, far = (camera_at((0.0, 0.0, z), (180.0, 0.0, 0.0), focal=290.0) for z in (10.0, 100.0))
+    """At 300 pixels from height 10 a footprint of 0.5 is 15 pixels wide; from height 100, 1.5 pixels."""
+    near, far = (camera_at((0.0, 0.0, z), (180.0, 0.0, 0.0), focal=300.0) for z in (10.0, 100.0))
     assert subpoints_for(near, RECEIVER) == 15
     assert subpoints_for(far, RECEIVER) == 2
     close = camera_at((0.0, 0.0, 1.0), (180.0, 0.0, 0.0), focal=3000.0)

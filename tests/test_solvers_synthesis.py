@@ -9,6 +9,8 @@ from scipy.optimize import minimize
 
 from torchlight.errors import ConfigError
 from torchlight.solvers import NNLS, LeastSquares, NonnegativeSynthesis, Status
+from torchlight.solvers.synthesis import diagonalized, optimality
+from torchlight.solvers.system import System
 
 
 def orthogonal(size: int, seed: int) -> torch.Tensor:
@@ -74,6 +76,24 @@ def test_gap_bounds_the_error_of_a_solve_that_stopped_short():
     error = rough.relative_residual.square() - exact.relative_residual.square()
     assert bool((rough.status == Status.STOPPED_SHORT).all())
     assert bool(((error > 1e-8) & (error <= rough.gap)).all())
+
+
+def test_rounds_remove_the_bias_of_the_proximal_term():
+    problem = cone_problem(2, condition=3)
+    exact = NonnegativeSynthesis().solve(problem)
+    rounds = NonnegativeSynthesis(proximity=1e-2).solve(problem)
+    rounds.check()
+    torch.testing.assert_close(rounds.coefficients, exact.coefficients, rtol=1e-6, atol=1e-7)
+
+
+def test_gap_is_objective_minus_dual_objective():
+    # A = S = I: f(x) = |x - b|^2 / 2 and the dual of u is |b|^2 / 2 - |b + u|^2 / 2.
+    eye = torch.eye(3, dtype=torch.float64)
+    b, x, u = torch.tensor([[0.6, -0.8, 0.0], [0.5, 0.1, 0.2], [0.0, 0.3, 0.4]], dtype=torch.float64)
+    program = diagonalized(System(eye, torch.ones(1, 3, dtype=torch.float64), b[None]), eye, 1e-3)
+    _, gap = optimality(program, b @ program.left, program.right @ x, u)
+    dual = (b.square().sum() - (b + u).square().sum()) / 2
+    torch.testing.assert_close(gap, 2 * ((x - b).square().sum() / 2 - dual))
 
 
 def rotated_problem() -> tuple[LeastSquares, torch.Tensor]:

@@ -71,7 +71,35 @@ _HOME = {
     "write_light": "io.lights",
 }
 
-__all__ = sorted(_HOME)  # noqa: PLE0605
+__all__ = [
+    
+    "NNLS",
+    "Camera",
+    "EnvironmentMap",
+    "Estimate",
+    "HaarCubemap",
+    "LinearPhoto",
+    "NonnegativeSynthesis",
+    "Observation",
+    "ProjectedAdam",
+    "Receiver",
+    "Ridge",
+    "Scene",
+    "SphericalHarmonics",
+    "Texels",
+    "Transfer",
+    "estimate",
+    "irradiance",
+    "linearize",
+    "load_scene",
+    "observe",
+    "precompute",
+    "read_light",
+    "read_photo",
+    "relight",
+    "solve",
+    "write_light",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -36,7 +36,7 @@ def subpoints_for(camera: Camera, receiver: Receiver) -> int:
     across = torch.linalg.vector_norm(pixels[:, :, 1] - pixels[:, :, 0], dim=-1)
     along = torch.linalg.vector_norm(pixels[:, 1] - pixels[:, 0], dim=-1)
     spans = torch.cat([across, along], dim=-1).nan_to_num(nan=0.0, posinf=0.0) * 2
-    return int(spans.max().ceil().clamp(1, MAX_SUBPOINTS).item())
+    return int((spans.max() - 1e-6).ceil().clamp(1, MAX_SUBPOINTS).item())  # 4 pixels up to rounding: 4 points
 
 
 def visible_samples(scene: Scene) -> Bool[Tensor, " points"]:

@@ -58,6 +58,12 @@ class OcclusionTest:
     frame: UnitFrame
     hits: RayTest
 
+    def hidden(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Returns whether each ray meets an occluder at any distance, [rays]; world coordinates."""
+        starts = self.frame.to_unit(origins)
+        starts[:, 2] += LIFT
+        return self.hits(starts.astype(np.float32), directions.astype(np.float32), np.inf)
+
     def hidden_from(self, viewpoint: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Returns whether an occluder stands between a viewpoint and each plane point, [points]; world coordinates.
 

@@ -11,6 +11,7 @@ from torchlight.light.bases import Basis, SphericalHarmonics
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.harmonics import real_spherical_harmonics
 
+ROUNDING = 1e-6
 PIXEL_NODES = 2  # Gauss points along each side of a pixel: harmonics are smooth over it
 
 
@@ -30,7 +31,17 @@ def synthesize(basis: Basis, coefficients: Float[Tensor, "*batch 3 coeffs"]) -> 
         radiance = harmonics_to_latlong(coefficients, basis.degree, height)
     else:
         radiance = overlap.texels_to_latlong(basis.synthesis(coefficients), basis.resolution, height)
+    radiance = without_rounding(radiance)
     return EnvironmentMap(radiance, nonnegative=not bool((radiance < 0).any()))
+
+
+def without_rounding(radiance: Float[Tensor, "*batch 3 height width"]) -> Float[Tensor, "*batch 3 height width"]:
+    """Returns the maps with negative values of less than a millionth of the map's largest set to 0.
+
+    A Haar transform of non-negative texels is non-negative only up to rounding.
+    """
+    least = -ROUNDING * radiance.abs().amax(dim=(-3, -2, -1), keepdim=True)
+    return torch.where(radiance > least, radiance.clamp(min=0), radiance)
 
 
 def harmonics_to_latlong(

@@ -10,7 +10,6 @@ from torch import Tensor
 
 SMALLEST_SHIFT = 1e-13  # just above the rounding of a float64 Gram matrix with unit diagonal
 AT_BOUND = 1e-10  # of its value before the step: a coefficient this small has reached 0
-STATIONARY = 1e-3  # of the largest w outside
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1, *(10.0**-k for k in range(2, 15)))
 
 
@@ -21,8 +20,8 @@ class Limits:
     Attributes:
         tolerance: largest w_j = (c - G x - ridge x)_j where x_j = 0, and largest |w_j| where x_j > 0.
         max_steps: number of factorisations.
-        most_entrants: columns that may come in with one step. 1 = only on a stationary face, so that the passive
-            columns stay independent (Lawson and Hanson's method): right where there are far fewer rows than columns.
+        most_entrants: columns that may come in with one step. 1 keeps the passive columns independent (Lawson and
+            Hanson's method), which is what matters where there are far fewer rows than columns.
     """
 
     tolerance: float
@@ -59,8 +58,6 @@ def minimize_nonnegative(
         free = x > 0
         if violation(free, w) <= limits.tolerance:
             return x, step
-        if limits.most_entrants == 1 and not is_stationary(free, w):
-            entrants = 0
         index = with_entrants(free, w, entrants)
         rows = gram[index]
         block = rows[:, index]
@@ -83,12 +80,6 @@ def minimize_nonnegative(
 def violation(free: Bool[Tensor, " n"], w: Float[Tensor, " n"]) -> float:
     """Returns how far w is from stationary: |w_j| where x_j > 0, the positive part elsewhere."""
     return torch.where(free, w.abs(), w.clamp(min=0)).max().item()
-
-
-def is_stationary(free: Bool[Tensor, " n"], w: Float[Tensor, " n"]) -> bool:
-    """Returns whether the passive block is solved well enough for the next column to come in."""
-    inside, outside = torch.where(free, w.abs(), 0.0).max(), torch.where(free, 0.0, w).max()
-    return bool(inside <= STATIONARY * outside)
 
 
 def with_entrants(free: Bool[Tensor, " n"], w: Float[Tensor, " n"], entrants: int) -> Int[Tensor, " k"]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torchlight.solvers.problem import LeastSquares
 from torchlight.solvers.solution import Solution
 
 
+@runtime_checkable
 class Solver(Protocol):
     """Anything that solves a `LeastSquares`: the settings object is the solver."""
 

@@ -1,0 +1,344 @@
+"""The whole story on a small scene: light found from its own shadow, what is cached, what is refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+from torchlight import pipeline
+from torchlight.camera import Camera
+from torchlight.errors import CalibrationError, ConfigError, SceneError, TorchlightError, TorchlightWarning
+from torchlight.geometry import primitives
+from torchlight.geometry.analytic_shadow import Block, block_irradiance
+from torchlight.geometry.receiver import Receiver
+from torchlight.geometry.scene import Scene
+from torchlight.geometry.transforms import transform
+from torchlight.io import cache
+from torchlight.io.images import Photo
+from torchlight.light import cubemap
+from torchlight.light.bases import HaarCubemap, SphericalHarmonics, Texels
+from torchlight.light.peaks import peak_direction
+from torchlight.photo.observation import LinearPhoto, linear_photo
+from torchlight.pipeline import estimate, linearize, observe, precompute, transport_key, visible_part
+from torchlight.solvers import Ridge, Status
+from torchlight.transfer import Transfer, transport
+
+BLOCK = Block((1.0, 0.6, 1.2), 20.0, (0.3, -0.2))
+RECEIVER = Receiver((0.0, 0.0), (4.0, 4.0), (20, 20))
+BASIS = Texels(4)
+COUNT = cubemap.texel_count(4)
+
+
+def block_scene(receiver: Receiver = RECEIVER) -> Scene:
+    triangles = transform(
+        primitives.box(BLOCK.size), 1.0, (0.0, 0.0, BLOCK.rotation_degrees), (*BLOCK.translation, 0.0)
+    )
+    return Scene(triangles, receiver)
+
+
+@pytest.fixture(scope="module")
+def transfer() -> Transfer:
+    return transport(block_scene(), 4, 24)
+
+
+def random_texels(seed: int) -> Tensor:
+    """Heavy-tailed radiance at the visible texels, three channels of one colour but for a tenth."""
+    generator = torch.Generator().manual_seed(seed)
+    grey = torch.exp(1.5 * torch.randn(1, COUNT, generator=generator, dtype=torch.float64))
+    return grey * (1 + 0.1 * torch.rand(3, COUNT, generator=generator, dtype=torch.float64))
+
+
+def photograph(texels: Tensor, receiver: Receiver = RECEIVER) -> Tensor:
+    """The rectified photograph of the block, [3, rows, columns], by its analytic shadow on 19 x 19 directions a texel."""
+    cells = cubemap.texel_cells(4, 19)
+    fluxes = (texels.T[:, None, :] * cubemap.cell_cosine_weights(cells)[..., None]).reshape(-1, 3)
+    values = block_irradiance(BLOCK, cubemap.cell_directions(cells).reshape(-1, 3), fluxes, receiver) / math.pi
+    columns, rows = receiver.samples
+    return values.reshape(3, rows, columns).flip(1)
+
+
+def brightest_texel(texels: Tensor) -> Tensor:
+    weights = cubemap.cosine_weights(4, 1)[:, 0]
+    luminance = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64) @ texels
+    return cubemap.texel_directions(4, 5)[cubemap.visible_texels(4)][(luminance * weights).argmax()]
+
+
+# --- light from a shadow -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("basis", [Texels(4), HaarCubemap(4)])
+def test_light_is_found_from_its_own_shadow(transfer: Transfer, basis: Texels | HaarCubemap) -> None:
+    texels = random_texels(1)
+    found = estimate(photograph(texels), block_scene(), basis, transfer=transfer)
+    assert (found.solution.status == Status.CONVERGED).all()
+    assert_close(found.rms_255.item(), 0.0, rtol=0, atol=0.3)  # 0.09 to 0.14 over six seeds: the truth has other rays
+    assert found.light.nonnegative
+    towards = peak_direction(found.peaks).double()
+    assert math.degrees(torch.acos((towards @ brightest_texel(texels)).clamp(max=1)).item()) < 8
+    recovered = basis.synthesis(found.solution.coefficients).double()
+    flux = cubemap.cosine_weights(4, 1)[:, 0]
+    error = ((recovered - texels).abs() @ flux) / (texels @ flux)
+    assert error.max() < 0.1  # 0.03 to 0.05 over six seeds
+
+
+def test_harmonics_explain_what_they_can(transfer: Transfer) -> None:
+    photo = photograph(random_texels(1))
+    rms = [
+        estimate(photo, block_scene(), SphericalHarmonics(degree, 4), Ridge(), transfer).rms_255.item()
+        for degree in (1, 3)
+    ]
+    assert rms == sorted(rms, reverse=True)
+    assert rms[0] > 2 * rms[-1] > 0
+
+
+def test_albedo_is_divided_out_of_the_light_and_put_back_into_the_prediction(transfer: Transfer) -> None:
+    photo = photograph(random_texels(2))
+    albedo = (0.8, 0.5, 0.25)
+    dim = photo * torch.tensor(albedo, dtype=torch.float64)[:, None, None]
+    plain = estimate(photo, block_scene(), BASIS, transfer=transfer)
+    found = estimate(dim, block_scene(replace(RECEIVER, albedo=albedo)), BASIS, transfer=transfer)
+    assert_close(found.solution.coefficients, plain.solution.coefficients, rtol=1e-4, atol=1e-4)
+    ratio = torch.tensor(albedo, dtype=found.predicted.dtype)[:, None]
+    assert_close(found.predicted, plain.predicted * ratio, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("batch", [(2,), (2, 1)])
+def test_a_batch_gives_what_each_photograph_gives_alone(transfer: Transfer, batch: tuple[int, ...]) -> None:
+    photos = torch.stack([photograph(random_texels(seed)) for seed in (3, 4)])
+    photos[1, :, 4, 5] = math.nan
+    found = estimate(photos.reshape(*batch, 3, 20, 20), block_scene(), BASIS, transfer=transfer)
+    assert found.light.radiance.shape[:-2] == (*batch, 3)
+    assert found.peaks.directions.shape[:-2] == batch
+    assert found.rms_255.shape == batch
+    for k, photo in enumerate(photos):
+        alone = estimate(photo, block_scene(), BASIS, transfer=transfer)
+        assert_close(found.predicted.reshape(2, 3, 400)[k], alone.predicted, rtol=1e-5, atol=1e-6)
+        assert torch.equal(found.observation.weights.reshape(2, 400)[k], alone.observation.weights)
+        assert_close(found.rms_255.reshape(2)[k], alone.rms_255, rtol=1e-3, atol=1e-4)
+
+
+def test_a_smooth_fall_off_does_not_turn_into_light(transfer: Transfer) -> None:
+    """A sun through a lens that darkens towards the edges: with `reference: smooth` the residual stays small."""
+    texels = torch.full((3, COUNT), 1e-3, dtype=torch.float64)
+    texels[:, 40] = 10.0
+    photo = photograph(texels)
+    axis = torch.linspace(-1, 1, 20, dtype=torch.float64)
+    darkened = photo * torch.exp(-0.3 * (axis[:, None] ** 2 + axis**2))
+    plain = estimate(darkened, block_scene(), BASIS, transfer=transfer).rms_255
+    smooth = estimate(darkened, replace(block_scene(), reference="smooth"), BASIS, transfer=transfer).rms_255
+    assert smooth < 0.3 * plain
+
+
+# --- what is refused -----------------------------------------------------------------------------------------------
+
+
+def camera_above(image_size: tuple[int, int] = (80, 80)) -> Camera:
+    """A camera at height 10 that shows exactly the receiver, 20 pixels per unit, rows towards -y."""
+    pose = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+    pose[2, 3] = 10.0
+    intrinsics = torch.tensor([[200.0, 0, 39.5], [0, 200, 39.5], [0, 0, 1]], dtype=torch.float64)
+    return Camera(intrinsics, pose, image_size, torch.zeros(5, dtype=torch.float64))
+
+
+def one_line(error: type[TorchlightError], pattern: str, call: Callable[[], object]) -> None:
+    with pytest.raises(error, match=pattern) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+    assert type(caught.value) is error
+
+
+def test_a_black_photograph_is_refused() -> None:
+    one_line(
+        SceneError, "the photograph is black", lambda: observe(linear_photo(torch.zeros(3, 20, 20)), block_scene())
+    )
+
+
+def test_a_photograph_without_a_usable_sample_is_refused() -> None:
+    photo = torch.full((3, 20, 20), math.nan)
+    one_line(SceneError, "no sample of the photograph", lambda: observe(linear_photo(photo), block_scene()))
+
+
+def test_one_failed_photograph_of_a_batch_is_noticed() -> None:
+    photos = torch.ones(2, 3, 20, 20)
+    photos[1] = math.nan
+    one_line(SceneError, "no sample of the photograph", lambda: observe(linear_photo(photos), block_scene()))
+
+
+def test_a_mask_that_forbids_everything_is_refused() -> None:
+    mask = torch.zeros(20, 20, dtype=torch.bool)
+    one_line(SceneError, "and the mask", lambda: visible_part(replace(block_scene(), mask=mask)))
+    with_camera = replace(block_scene(), camera=camera_above(), mask=torch.zeros(80, 80, dtype=torch.bool))
+    one_line(SceneError, "check the mask", lambda: observe(linear_photo(torch.ones(3, 80, 80)), with_camera))
+
+
+def test_a_photograph_of_another_size_than_the_camera_s_is_refused() -> None:
+    scene = replace(block_scene(), camera=camera_above())
+    pattern = "the photograph has 60 x 40 pixels but camera.image_size says 80 x 80"
+    one_line(CalibrationError, pattern, lambda: observe(linear_photo(torch.ones(3, 40, 60)), scene))
+
+
+def test_a_mask_of_another_size_than_the_photograph_is_refused() -> None:
+    scene = replace(block_scene(), camera=camera_above(), mask=torch.ones(80, 40, dtype=torch.bool))
+    pattern = "mask: 40 x 80 pixels, but the photograph has 80 x 80"
+    one_line(ConfigError, pattern, lambda: observe(linear_photo(torch.ones(3, 80, 80)), scene))
+
+
+@pytest.mark.parametrize("pose", ["below", "away"])
+def test_a_camera_that_sees_no_receiver_is_refused(pose: str) -> None:
+    camera = camera_above()
+    matrix = torch.eye(4, dtype=torch.float64)
+    matrix[2, 3] = 10.0 if pose == "below" else -10.0
+    scene = replace(block_scene(), camera=replace(camera, world_to_camera=matrix))
+    one_line(SceneError, "the camera sees no sample of the receiver", lambda: visible_part(scene))
+
+
+def test_an_8_bit_photograph_must_say_how_it_is_encoded() -> None:
+    photo = Photo(torch.rand(3, 4, 4), 8, "", is_linear=False)
+    one_line(ConfigError, "photo.encoding: missing", lambda: linearize(photo, block_scene()))
+
+
+# --- what a photograph contributes ---------------------------------------------------------------------------------
+
+
+def test_saturated_pixels_and_pixels_that_are_no_numbers_are_not_usable() -> None:
+    pixels = torch.full((3, 2, 3), 0.5)
+    pixels[0, 0, 0], pixels[2, 1, 1] = 1.0, 254 / 255
+    found = linearize(Photo(pixels, 8, "", is_linear=False), replace(block_scene(), encoding="srgb"))
+    assert found.usable.tolist() == [[False, True, True], [True, True, True]]
+    assert_close(found.radiance[1, 1, 2].item(), ((0.5 + 0.055) / 1.055) ** 2.4, rtol=1e-5, atol=0)
+    pixels[1, 0, 1], pixels[1, 0, 2] = math.nan, math.inf
+    floats = linearize(Photo(pixels, None, "", is_linear=True), block_scene())
+    assert floats.usable.tolist() == [[True, False, False], [True, True, True]]
+
+
+def test_a_mask_counts_in_the_photograph_s_pixels_with_a_camera_whoever_made_the_photo() -> None:
+    mask = torch.ones(80, 80, dtype=torch.bool)
+    mask[:, :16] = False  # 4 of 20 columns of samples
+    scene = replace(block_scene(), triangles=torch.zeros(0, 3, 3), camera=camera_above())
+    free = observe(linear_photo(torch.ones(3, 80, 80)), scene).weights.reshape(20, 20)
+    for photo in (linear_photo(torch.ones(3, 80, 80)), LinearPhoto(torch.ones(3, 80, 80), torch.ones(80, 80).bool())):
+        found = observe(photo, replace(scene, mask=mask)).weights.reshape(20, 20)
+        assert torch.equal(found[:, :4], torch.zeros(20, 4))
+        assert torch.equal(found[:, 5:], free[:, 5:])
+    assert free.sum() >= 18 * 18
+
+
+def test_a_mask_counts_in_the_receiver_s_pixels_without_a_camera() -> None:
+    """The mask may have another size than the photograph; row 0 is the largest y in both."""
+    mask = torch.ones(40, 60, dtype=torch.bool)
+    mask[:4, :] = False  # the uppermost 2 of 20 rows of samples
+    scene = replace(block_scene(), triangles=torch.zeros(0, 3, 3), mask=mask)
+    found = observe(linear_photo(torch.ones(3, 20, 20)), scene).weights.reshape(20, 20)
+    assert torch.equal(found[:18], torch.ones(18, 20))
+    assert torch.equal(found[18:], torch.zeros(2, 20))
+
+
+def test_a_camera_and_a_rectified_image_show_the_same_samples() -> None:
+    photo = photograph(random_texels(5))
+    seen = photo.repeat_interleave(4, dim=1).repeat_interleave(4, dim=2)
+    through = observe(linear_photo(seen), replace(block_scene(), camera=camera_above()))
+    flat = observe(linear_photo(photo), block_scene())
+    both = (through.weights > 0) & (flat.weights > 0)
+    assert both.float().mean() > 0.5
+    assert_close(through.samples[:, both], flat.samples[:, both], rtol=0, atol=1e-9)
+
+
+# --- precomputation ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def small_scene() -> Scene:
+    return block_scene(replace(RECEIVER, samples=(5, 4)))
+
+
+def test_a_transport_is_computed_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+
+    def counted(scene: Scene, resolution: int, subsamples: int, progress: pipeline.Progress | None = None) -> Transfer:
+        calls.append(subsamples)
+        return transport(scene, resolution, subsamples, progress)
+
+    monkeypatch.setattr(pipeline, "transport", counted)
+    first, second = (precompute(small_scene(), 2, 4) for _ in range(2))
+    assert torch.equal(first.transport, second.transport)
+    assert second.resolution == 2
+    assert calls == [4]
+    assert len(list(folder.iterdir())) == 1
+    precompute(small_scene(), 2, 3)
+    assert calls == [4, 3]
+
+
+def test_without_a_cache_nothing_is_read_or_written(folder: Path) -> None:
+    precompute(small_scene(), 2, 2, use_cache=False)
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("damage", [b"", b"not a safetensors file", None])
+def test_a_damaged_file_is_computed_again_with_a_warning(folder: Path, damage: bytes | None) -> None:
+    expected = precompute(small_scene(), 2, 2).transport
+    (file,) = folder.iterdir()
+    stored = file.read_bytes()
+    file.write_bytes(stored[:-1] + bytes([stored[-1] ^ 1]) if damage is None else damage)
+    with pytest.warns(TorchlightWarning, match="ignored and computed again"):
+        found = precompute(small_scene(), 2, 2).transport
+    assert torch.equal(found, expected)
+    assert torch.equal(precompute(small_scene(), 2, 2).transport, expected)
+
+
+@pytest.mark.parametrize(("resolution", "subsamples"), [(16, 12), (64, 3), (128, 2)])
+def test_the_default_sampling_has_192_directions_along_a_face(
+    monkeypatch: pytest.MonkeyPatch, resolution: int, subsamples: int
+) -> None:
+    seen: list[tuple[int, int]] = []
+
+    def noted(scene: Scene, n: int, s: int, progress: pipeline.Progress | None = None) -> Transfer:
+        seen.append((n, s))
+        return Transfer(torch.zeros(1, cubemap.texel_count(n)), n)
+
+    monkeypatch.setattr(pipeline, "transport", noted)
+    precompute(small_scene(), resolution, use_cache=False)
+    assert seen == [(resolution, subsamples)]
+
+
+def test_the_key_ignores_what_the_transport_does_not_depend_on() -> None:
+    scene = small_scene()
+    key = transport_key(scene, 2, 2)
+    same = [
+        replace(scene, camera=camera_above()),
+        replace(scene, mask=torch.ones(3, 3, dtype=torch.bool)),
+        replace(scene, reference="smooth", encoding="srgb", units="mm"),
+        replace(scene, receiver=replace(scene.receiver, albedo=(0.5, 0.5, 0.5))),
+    ]
+    assert {transport_key(other, 2, 2) for other in same} == {key}
+
+
+def test_the_key_changes_with_everything_the_transport_depends_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = small_scene()
+    moved = scene.triangles + torch.tensor([1e-9, 0.0, 0.0], dtype=torch.float64)
+    keys = [
+        transport_key(scene, 2, 2),
+        transport_key(scene, 4, 2),
+        transport_key(scene, 2, 4),
+        transport_key(replace(scene, triangles=moved), 2, 2),
+        transport_key(replace(scene, receiver=replace(scene.receiver, center=(0.1, 0.0))), 2, 2),
+        transport_key(replace(scene, receiver=replace(scene.receiver, size=(4.0, 4.1))), 2, 2),
+        transport_key(replace(scene, receiver=replace(scene.receiver, samples=(4, 5))), 2, 2),
+    ]
+    monkeypatch.setattr(pipeline, "ALGORITHM", "transport-next")
+    keys.append(transport_key(scene, 2, 2))
+    monkeypatch.undo()
+    monkeypatch.setattr(pipeline, "backend", lambda: "raycast")
+    keys.append(transport_key(scene, 2, 2))
+    assert len(set(keys)) == len(keys)
