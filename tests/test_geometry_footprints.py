@@ -102,7 +102,7 @@ def test_from_the_side_the_block_hides_what_lies_behind_it() -> None:
 
 
 def central_shadow() -> Tensor:
-    """The hull of the base and of the top's projection (enlarged by 10 / 8 about the eye's foot), as seen from above."""
+    """The hull of the base and of the top's projection, the base enlarged by 10 / 8 about the eye's foot."""
     base = torch.tensor([[x, y] for x in (-0.6, 0.6) for y in (-0.6, 0.6)], dtype=torch.float64)
     eye = torch.tensor([-10.0, 0.0], dtype=torch.float64)
     corners = torch.cat([base, eye + (base - eye) * 10 / 8])
@@ -132,9 +132,10 @@ def test_the_frame_is_eroded_by_one_sample() -> None:
     assert found.sum() == 192 - 10 * 8
 
 
-@pytest.mark.parametrize("height", [0.3, 1.5])
+@pytest.mark.parametrize("height", [0.002, 0.3, 1.5])
 def test_a_hovering_plate_stands_on_nothing(height: float) -> None:
-    scene = Scene(block((3.0, 2.0, 0.1), 0.3, 0.2, height), RECEIVER)
+    """The lowest one leaves points beneath it that no light reaches: they are in the photograph all the same."""
+    scene = Scene(block((6.0, 5.0, 0.1), 0.3, 0.2, height), RECEIVER)
     assert visible_samples(scene).all()
 
 

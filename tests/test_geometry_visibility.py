@@ -169,6 +169,16 @@ def test_points_that_touch_a_standing_block_are_lifted_off_the_surface() -> None
     assert test.hidden_on_plane(points, directions, np.zeros((40, 2))).all()
 
 
+@pytest.mark.parametrize("name", BACKENDS)
+def test_a_sheet_that_lies_on_the_plane_hides_nothing(name: str) -> None:
+    """Rays that started on it would meet it about half of the time."""
+    triangles = torch.cat([plate(3.0, 2.0, 0.0, NO_OFFSET), plate(0.1, 0.1, 1.3, (3.0, 0.0))])
+    frame = unit_frame(triangles.reshape(-1, 3))
+    test = OcclusionTest(frame, BACKENDS[name](triangles, frame))
+    directions = upward(torch.Generator().manual_seed(12), 5, lowest=0.7).numpy()
+    assert not test.hidden_on_plane(plane_grid(1.9, 31), directions, np.zeros((5, 2))).any()
+
+
 def test_no_point_of_an_empty_plane_is_hidden() -> None:
     scene = Scene(torch.zeros(0, 3, 3, dtype=torch.float64), Receiver((0.0, 0.0), (2.0, 1.0), (4, 2)))
     hidden = scene_occlusion(scene).hidden_on_plane(plane_grid(1.0, 3), np.array([[0.0, 0, 1]]), np.zeros((1, 2)))

@@ -56,7 +56,7 @@ def random_texels(seed: int) -> Tensor:
 
 
 def photograph(texels: Tensor, receiver: Receiver = RECEIVER) -> Tensor:
-    """The rectified photograph of the block, [3, rows, columns], by its analytic shadow on 19 x 19 directions a texel."""
+    """The rectified photograph of the block by its analytic shadow, on 19 x 19 directions per texel."""
     cells = cubemap.texel_cells(4, 19)
     fluxes = (texels.T[:, None, :] * cubemap.cell_cosine_weights(cells)[..., None]).reshape(-1, 3)
     values = block_irradiance(BLOCK, cubemap.cell_directions(cells).reshape(-1, 3), fluxes, receiver) / math.pi

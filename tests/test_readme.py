@@ -88,25 +88,29 @@ def torchlight(*subcommands: str) -> tuple[str, ...]:
     return (str(Path(sys.executable).with_name("torchlight")), *subcommands)
 
 
-def has_choice(text: str, word: str) -> bool:
-    """Returns whether a help text offers a subcommand: {one,two} in its usage line."""
-    return any(word in re.split(r"[,|\s]+", group) for group in re.findall(r"\{([^{}]*)\}", text))
+def choices(text: str) -> list[str]:
+    """Returns the subcommands that a help text offers: {one,two} in its usage line, outside of [options]."""
+    usage = re.sub(r"\[[^\[\]]*\]", "", text.partition("\n\n")[0])
+    match = re.search(r"\{([\w,-]+)\}", usage)
+    return match[1].split(",") if match else []
 
 
 def resolve(words: list[str]) -> tuple[str, ...]:
     """Returns the torchlight command that words name, down to the last subcommand.
 
     Raises:
-        LookupError: the first word is no subcommand.
+        LookupError: a subcommand does not exist.
     """
-    path: tuple[str, ...] = ()
+    command = torchlight()
     for word in words:
-        if not has_choice(help_text(*torchlight(*path)), word):
+        offered = choices(help_text(*command))
+        if not offered or not re.match("[a-z]", word):  # an argument, an option, or a placeholder such as COMMAND
             break
-        path = (*path, word)
-    if words and not words[0].startswith("-") and not path:
-        raise LookupError(f"torchlight has no subcommand {words[0]}")
-    return torchlight(*path)
+        names = word.split("|")
+        if not set(names) <= set(offered):
+            raise LookupError(f"no subcommand {word}, only {', '.join(offered)}")
+        command = (*command, names[0])
+    return command
 
 
 def script_help(script: str) -> str | None:
@@ -185,7 +189,8 @@ def test_the_readme_shows_python_and_the_two_scripts() -> None:
         "torchlight estimate SCENE PHOTO... --out DIR [--method texels|haar|sh]",
         "torchlight --help",
         ".venv/bin/torchlight doctor",
-        "torchlight cache list",
+        "torchlight cache list|clear",
+        "torchlight COMMAND --help",
         "scripts/demo --probe FILE.hdr",
         "scripts/test -k haar -x",
         "git clone x",
@@ -199,6 +204,7 @@ def test_right_commands_pass(command: str) -> None:
     ("command", "reason"),
     [
         ("torchlight guess SCENE", "no subcommand guess"),
+        ("torchlight cache lost", "no subcommand lost"),
         ("torchlight estimate SCENE --outt DIR", "no such option: --outt"),
         ("torchlight cache list --everything", "no such option: --everything"),
         ("scripts/demo --sun", "no such option: --sun"),

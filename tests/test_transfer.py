@@ -241,12 +241,14 @@ def test_the_size_of_the_blocks_does_not_change_a_bit(monkeypatch: pytest.Monkey
 
 
 def test_the_default_dtype_does_not_change_a_bit() -> None:
-    expected = block_transfer(resolution=2).transport
+    """The cache key knows nothing of torch's global state."""
+    expected = footprint_offsets(768, 12, RECEIVER)
     torch.set_default_dtype(torch.float64)
     try:
-        found = block_transfer(resolution=2).transport
+        found = footprint_offsets(768, 12, RECEIVER)
     finally:
         torch.set_default_dtype(torch.float32)
+    assert found.dtype == expected.dtype == torch.float64
     assert torch.equal(found, expected)
 
 

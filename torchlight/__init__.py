@@ -72,7 +72,6 @@ _HOME = {
 }
 
 __all__ = [
-    
     "NNLS",
     "Camera",
     "EnvironmentMap",

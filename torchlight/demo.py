@@ -15,7 +15,7 @@ from torchlight import figures, metrics
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.footprints import visible_samples
 from torchlight.geometry.receiver import Receiver
-from torchlight.io.atomic import write_atomically
+from torchlight.io.atomic import make_folder, write_atomically
 from torchlight.io.images import write_png
 from torchlight.io.lights import write_light
 from torchlight.light.environment import EnvironmentMap
@@ -52,6 +52,7 @@ def run_demo(out: Path, light: EnvironmentMap, progress: Progress | None = None)
 
     The photograph is 8-bit; it and the truth of the second pose come from the block's analytic shadow.
     """
+    make_folder(out)
     scene, second = block_scene(FIRST_POSE, RECEIVER), block_scene(SECOND_POSE, RECEIVER)
     rays = pixel_rays(light)
     values = block_values(FIRST_POSE, RECEIVER, rays)
@@ -78,7 +79,6 @@ def write_pictures(
     out: Path, found: Estimate, photo: Float[Tensor, "3 rows columns"], light: EnvironmentMap, exposure: float
 ) -> tuple[Path, ...]:
     """Writes the photograph, the fit, and the true and recovered light; returns their paths."""
-    out.mkdir(parents=True, exist_ok=True)
     pixels = (photo * 255).round().byte().permute(1, 2, 0).contiguous()
     write_png(out / "photo.png", pixels.numpy())
     title = f"the photograph and the recovered light's prediction; RMS {found.rms_255.item():.2f} of 255"

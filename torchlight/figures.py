@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from io import BytesIO
 
@@ -69,7 +70,7 @@ def fit_picture(
     image = axes[2].imshow(shown, extent=extent, cmap=colours, vmin=-limit, vmax=limit, interpolation="nearest")
     _label(axes[2], f"{names[1]} - {names[0]} (luminance)", units)
     figure.colorbar(image, ax=axes[2], shrink=0.85, extend="both", label="1/255 of the brightest sample")
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(title, fontsize=11, parse_math=False)
     return png_bytes(figure)
 
 
@@ -103,9 +104,11 @@ def encode_png(image: np.ndarray) -> bytes:
 
 
 def png_bytes(figure: Figure) -> bytes:
-    """Returns a figure drawn as PNG."""
+    """Returns a figure drawn as PNG; characters that its font lacks, as in a file's name, are drawn as boxes."""
     buffer = BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        FigureCanvasAgg(figure).print_png(buffer)
     return buffer.getvalue()
 
 
@@ -123,8 +126,8 @@ def _extent(receiver: Receiver) -> tuple[float, float, float, float]:
 
 def _label(axis: Axes, title: str, units: str) -> None:
     axis.set_title(title)
-    axis.set_xlabel(f"x [{units}]")
-    axis.set_ylabel(f"y [{units}]")
+    axis.set_xlabel(f"x [{units}]", parse_math=False)
+    axis.set_ylabel(f"y [{units}]", parse_math=False)
     axis.set_aspect("equal")
 
 

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchlight.errors import ConfigError
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
 from torchlight.geometry.threads import ordered_map
@@ -17,6 +18,7 @@ from torchlight.light.environment import EnvironmentMap
 from torchlight.transfer import receiver_points
 
 RAYS = 32_768  # directions per map; halving the error of a soft sky costs 2.5 times as many
+MAX_RAYS = 2**24
 RAYS_PER_BLOCK = 1_000_000
 Progress = Callable[[int, int], None]
 
@@ -47,7 +49,12 @@ def relight(
         environment: one or several maps.
         rays: cells per map.
         progress: called with (rays done, rays).
+
+    Raises:
+        ConfigError: a number of rays below 1 or above `MAX_RAYS`.
     """
+    if not 1 <= rays <= MAX_RAYS:
+        raise ConfigError(f"rays: expected 1 to {MAX_RAYS:,}, got {rays:,}; {RAYS:,} is usual")
     lead = environment.radiance.shape[:-3]
     maps = environment.radiance.cpu().reshape(-1, *environment.radiance.shape[-3:])
     images = [

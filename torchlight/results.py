@@ -10,12 +10,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from torchlight import figures, metrics
 from torchlight.geometry.scene import Scene
 from torchlight.io.atomic import partial_folder, write_atomically
+from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.peaks import Peaks
@@ -84,7 +85,7 @@ def write_result(
     """
     preview = figures.preview(estimate.light)
     result = {**summary(estimate, scene, provenance), "preview_clipped_flux": preview.clipped_flux}
-    title = f"{Path(provenance.photo).name}: RMS {result['rms_255']:.2f} of 255, {result['points']} samples"
+    title = f"{one_line(Path(provenance.photo).name, 80)}: RMS {result['rms_255']:.2f} of 255, {result['points']} samples"
     fit = figures.fit_picture(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in ("method", "resolution", "photo_sha256", "scene_sha256", "light_is")}
@@ -92,7 +93,7 @@ def write_result(
         write_light(partial / "light.hdr", estimate.light, {})
         write_atomically(partial / "light.png", preview.png)
         write_atomically(partial / "fit.png", fit)
-        save_file(tensors(estimate), partial / "estimate.safetensors")
+        write_atomically(partial / "estimate.safetensors", save(tensors(estimate)))
         write_json(partial / "timing.json", {"seconds": dict(provenance.seconds)})
         write_json(partial / "result.json", result)
     return result

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchlight.errors import SceneError
 from torchlight.geometry.analytic_shadow import Block, block_irradiance
 from torchlight.geometry.primitives import box
 from torchlight.geometry.receiver import Receiver
@@ -37,10 +38,15 @@ def pixel_rays(environment: EnvironmentMap) -> Rays:
     """Returns one ray for every pixel above the horizon, k x k rays for a pixel that holds more than its share.
 
     Each ray goes through a shifted point of its part of the pixel (a rank-1 lattice), so that rays do not line up.
+
+    Raises:
+        SceneError: the map is black above the horizon.
     """
     height = environment.height
     fluxes = flux(environment)[:, : height // 2].double()
     share = luminance(fluxes.abs().flatten(start_dim=1)).reshape(height // 2, 2 * height)
+    if not bool(share.sum() > 0):
+        raise SceneError("the environment map is black above the horizon; choose a map with light there")
     parts = (share / (share.sum() * PART_SHARE)).sqrt().ceil().clamp(1, MAX_PARTS).long()
     rows, columns, flows = [], [], []
     for k in parts.unique().tolist():
@@ -72,8 +78,15 @@ def block_values(block: Block, receiver: Receiver, rays: Rays, lines: int = 2) -
 
 
 def expose(values: Float[Tensor, "3 points"], used: Bool[Tensor, " points"]) -> float:
-    """Returns the exposure that brings the brightest used sample just below saturation."""
-    return EXPOSED / values[:, used].max().item()
+    """Returns the exposure that brings the brightest used sample just below saturation.
+
+    Raises:
+        SceneError: no used sample receives light.
+    """
+    brightest = values[:, used].max().item()
+    if not brightest > 0:
+        raise SceneError("the light leaves the receiver black; choose an environment map with light above the horizon")
+    return EXPOSED / brightest
 
 
 def eight_bit(values: Float[Tensor, "3 points"]) -> Float[Tensor, "3 points"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from io import TextIOWrapper
 
 import tyro
 
@@ -29,15 +30,16 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def run(command: arguments.Command) -> int:
     """Returns the exit code of a command; what a user can mend is one line on standard error, never a traceback."""
-    module = import_module(f"torchlight.cli.{type(command).__name__.lower()}")
     show_warnings_in_one_line()
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may hold what the terminal cannot show
     try:
-        return module.run(command)
-    except TorchlightError as error:
+        return import_module(f"torchlight.cli.{type(command).__name__.lower()}").run(command)
+    except (TorchlightError, OSError) as error:
         fail(str(error))
         return NOTHING_STARTED
     except KeyboardInterrupt:
-        fail("interrupted; finished photographs are complete, the others were not written")
+        fail("interrupted; what was finished is complete, the rest was not written")
         return INTERRUPTED
 
 

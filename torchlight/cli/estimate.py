@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,11 +13,12 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from torchlight.cli import arguments, fail
+from torchlight.cli import NOTHING_STARTED, arguments, fail
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError, TorchlightError
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.linear import named_solver
+from torchlight.io.atomic import check_writable
 from torchlight.io.files import read_bytes, sha256_of
 from torchlight.io.images import read_photo
 from torchlight.io.scene_file import load_scene
@@ -60,7 +62,7 @@ class Plan:
 
 
 def run(command: arguments.Estimate) -> int:
-    """Returns 0 when every photograph is done, 1 when some failed.
+    """Returns 0 when every photograph is done, 1 when some failed, 2 when none could be used.
 
     Raises:
         TorchlightError: nothing could start.
@@ -70,10 +72,12 @@ def run(command: arguments.Estimate) -> int:
     points = int(plan.visible.sum())
     print(f"{command.scene}: {points} of {plan.scene.receiver.points} samples visible")
     jobs = list(observed(plan))
+    if not jobs:
+        return NOTHING_STARTED
     failed = len(command.photos) - len(jobs)
     for start in range(0, len(jobs), PHOTOS_PER_SOLVE):
         failed += solve_and_write(plan, jobs[start : start + PHOTOS_PER_SOLVE])
-    if failed:
+    if failed and len(command.photos) > 1:
         fail(f"{failed} of {len(command.photos)} photographs failed; the others are complete in {command.out}")
     return SOME_FAILED if failed else 0
 
@@ -84,18 +88,22 @@ def check_places(command: arguments.Estimate) -> None:
         raise ConfigError("no photograph given; usage: torchlight estimate SCENE PHOTO... --out DIR")
     by_stem: dict[str, Path] = {}
     for photo in command.photos:
+        if photo.stem in ("", ".", ".."):
+            raise ConfigError(f"{photo}: its name without suffix cannot name a folder; rename it")
         other = by_stem.setdefault(photo.stem, photo)
         if other is not photo:
             raise ConfigError(
                 f"{other} and {photo} would both be written to {command.out / photo.stem}; "
                 "rename one or estimate them in separate calls"
             )
-    if command.out.exists() and not command.out.is_dir():
-        raise FormatError(f"{command.out}: exists and is not a folder; choose another --out")
-    existing = [str(command.out / stem) for stem in by_stem if (command.out / stem).exists()]
+    check_writable(command.out)
+    existing = [command.out / stem for stem in by_stem if os.path.lexists(command.out / stem)]
     if existing and not command.overwrite:
         more = f" and {len(existing) - 1} more" if len(existing) > 1 else ""
         raise FormatError(f"{existing[0]}{more}: already there; pass --overwrite to replace, or choose another --out")
+    for folder in existing:
+        if not (folder / "result.json").is_file():
+            raise FormatError(f"{folder}: not a result of torchlight, so --overwrite leaves it; choose another --out")
 
 
 def prepare(command: arguments.Estimate) -> Plan:
@@ -116,7 +124,8 @@ def prepare(command: arguments.Estimate) -> Plan:
 def named_basis(command: arguments.Estimate) -> Basis:
     """Returns the basis that the options name."""
     if command.method == "sh":
-        return SphericalHarmonics(command.degree, command.resolution or DEFAULT_HARMONICS_RESOLUTION)
+        default = DEFAULT_HARMONICS_RESOLUTION
+        return SphericalHarmonics(command.degree, default if command.resolution is None else command.resolution)
     resolution = DEFAULT_RESOLUTION if command.resolution is None else command.resolution
     return Texels(resolution) if command.method == "texels" else HaarCubemap(resolution)
 

@@ -27,7 +27,7 @@ def run(command: arguments.Evaluate) -> int:
     if command.fit_scale:
         scale = metrics.fit_scale(predicted, samples, weights)
         predicted = predicted * scale[:, None]
-        result["scale"] = scale.tolist()
+        result["scale"] = [number(factor) for factor in scale]
     points = int((weights > 0).sum())
     result["rms_255"] = number(metrics.rms_255(predicted, samples, weights))
     result["rms_relative"] = number(metrics.rms_relative(predicted, samples, weights))

@@ -11,6 +11,7 @@ from kornia.color import linear_rgb_to_rgb
 from torchlight.cli import arguments
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError
+from torchlight.io.atomic import check_writable
 from torchlight.io.exr import write_exr
 from torchlight.io.images import write_png
 from torchlight.io.lights import read_light
@@ -36,11 +37,14 @@ def run(command: arguments.Render) -> int:
     light = read_light(command.light, command.convention)
     with progress_bar("casting rays") as progress:
         view = render(scene, light, command.rays, progress)
+    picture = view.values * command.exposure
+    if not bool(picture.isfinite().all()):
+        raise ConfigError(f"{command.light} at --exposure {command.exposure:g}: values beyond float32; scale it down")
     if target.picture.suffix.lower() == ".exr":
         metadata = {"values": f"{command.exposure:g} x albedo x irradiance / pi", "light_is": light_is(scene)}
-        write_exr(target.picture, view.values * command.exposure, metadata)
+        write_exr(target.picture, picture, metadata)
         write_png(target.mask, (view.shows_plane * 255).byte().numpy())
-        print(f"{target.picture}: linear, brightest {view.values.max().item() * command.exposure:.3g}; {target.mask}")
+        print(f"{target.picture}: linear, brightest {picture.max().item():.3g}; {target.mask}")
     else:
         clipped = write_display(target.picture, view, command.exposure, scene.encoding or "srgb")
         print(f"{target.picture}: 8-bit {scene.encoding or 'srgb'}, {clipped:.1%} of the receiver's pixels clipped")
@@ -58,9 +62,17 @@ def check_target(command: arguments.Render) -> Target:
         raise ConfigError(f"--out {command.out}: expected a name that ends in .exr or .png")
     if not 0 < command.exposure < float("inf"):
         raise ConfigError(f"--exposure: expected a positive number, got {command.exposure}")
-    if command.out.exists() and not command.overwrite:
-        raise FormatError(f"{command.out}: already there; pass --overwrite to replace it")
-    return Target(command.out, command.out.with_name(f"{command.out.stem}_mask.png"))
+    target = Target(command.out, command.out.with_name(f"{command.out.stem}_mask.png"))
+    if not command.out.parent.is_dir():
+        raise FormatError(f"{command.out}: there is no folder {command.out.parent}; make it, or choose another --out")
+    check_writable(command.out.parent)
+    written = (target.picture, target.mask) if command.out.suffix.lower() == ".exr" else (target.picture,)
+    for path in written:
+        if path.exists() and not command.overwrite:
+            raise FormatError(f"{path}: already there; pass --overwrite to replace it, or choose another --out")
+        if path.is_dir():
+            raise FormatError(f"{path}: is a folder; choose another --out")
+    return target
 
 
 def write_display(path: Path, view: View, exposure: float, encoding: str) -> float:

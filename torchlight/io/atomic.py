@@ -77,6 +77,24 @@ def partial_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Pat
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def check_writable(folder: str | Path) -> None:
+    """Raises FormatError unless a folder is there and writable, or can be made; makes nothing."""
+    folder = Path(folder)
+    place = next((parent for parent in (folder, *folder.absolute().parents) if os.path.lexists(parent)), folder)
+    if not place.is_dir():
+        raise FormatError(f"{folder}: cannot be a folder: {place} exists and is not one; choose another place")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise FormatError(f"{folder}: cannot be written: no permission in {place}; choose another place")
+
+
+def make_folder(folder: str | Path) -> None:
+    """Makes a folder and its parents where they are missing; raises FormatError where that is not possible."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _write_error(Path(folder), error) from error
+
+
 def _check_folder_target(target: Path, overwrite: bool) -> None:
     if not os.path.lexists(target):
         return

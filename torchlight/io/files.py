@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import stat
 from pathlib import Path
 
 from torchlight.errors import FormatError
@@ -19,13 +20,16 @@ def read_bytes(path: str | Path, limit: int = MAX_BYTES) -> bytes:
         limit: largest accepted size in bytes; larger files are refused before they are read.
 
     Raises:
-        FormatError: missing, a folder, empty, larger than `limit` or unreadable.
+        FormatError: missing, a folder, not a regular file, empty, larger than `limit` or unreadable.
     """
     path = Path(path)
     try:
         if path.is_dir():
             raise FormatError(f"{path}: expected a file, got a folder; name the file inside it")
-        size = path.stat().st_size
+        status = path.stat()
+        size = status.st_size
+        if not stat.S_ISREG(status.st_mode):  # a device or a pipe may never end
+            raise FormatError(f"{path}: not a regular file; copy its content to one")
         if size > limit:
             raise FormatError(f"{path}: {size:,} bytes is more than the limit of {limit:,}; use a smaller file")
         data = path.read_bytes()
