@@ -179,9 +179,11 @@ def draw(path: Path, rows: list[Row]) -> None:
     axes.axvline(DIRECTIONS_PER_EDGE, color="0.6", linewidth=8, alpha=0.4, zorder=0)
     axes.annotate("default", (DIRECTIONS_PER_EDGE, 0.97), xycoords=("data", "axes fraction"), ha="center", va="top")
     axes.axhline(EIGHT_BIT, color="0.4", linewidth=1.5, linestyle=":")
-    axes.annotate("rounding of an 8-bit photograph", (32, EIGHT_BIT), (0, -14), textcoords="offset points", fontsize=10)
+    axes.annotate(
+        "rounding of an\n8-bit photograph", (29, EIGHT_BIT), (0, -26), textcoords="offset points", fontsize=10
+    )
     label_axes(axes, sorted({row.directions for row in rows}))
-    axes.legend(loc="lower left", frameon=False, fontsize=10)
+    axes.legend(loc="lower left", frameon=False, fontsize=10, handlelength=3.5)
     FigureCanvasAgg(figure).print_png(str(path))
 
 

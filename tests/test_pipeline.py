@@ -26,7 +26,7 @@ from torchlight.light import cubemap
 from torchlight.light.bases import HaarCubemap, SphericalHarmonics, Texels
 from torchlight.light.peaks import peak_direction
 from torchlight.photo.observation import LinearPhoto, linear_photo
-from torchlight.pipeline import estimate, linearize, observe, precompute, transport_key, visible_part
+from torchlight.pipeline import check_lit, estimate, linearize, observe, precompute, transport_key, visible_part
 from torchlight.solvers import Ridge, Status
 from torchlight.transfer import Transfer, transport
 
@@ -156,26 +156,28 @@ def one_line(error: type[TorchlightError], pattern: str, call: Callable[[], obje
 
 def test_a_black_photograph_is_refused() -> None:
     one_line(
-        SceneError, "the photograph is black", lambda: observe(linear_photo(torch.zeros(3, 20, 20)), block_scene())
+        SceneError,
+        "the photograph is black",
+        lambda: check_lit(observe(linear_photo(torch.zeros(3, 20, 20)), block_scene())),
     )
 
 
 def test_a_photograph_without_a_usable_sample_is_refused() -> None:
     photo = torch.full((3, 20, 20), math.nan)
-    one_line(SceneError, "no sample of the photograph", lambda: observe(linear_photo(photo), block_scene()))
+    one_line(SceneError, "no sample of the photograph", lambda: check_lit(observe(linear_photo(photo), block_scene())))
 
 
 def test_one_failed_photograph_of_a_batch_is_noticed() -> None:
     photos = torch.ones(2, 3, 20, 20)
     photos[1] = math.nan
-    one_line(SceneError, "no sample of the photograph", lambda: observe(linear_photo(photos), block_scene()))
+    one_line(SceneError, "no sample of the photograph", lambda: check_lit(observe(linear_photo(photos), block_scene())))
 
 
 def test_a_mask_that_forbids_everything_is_refused() -> None:
     mask = torch.zeros(20, 20, dtype=torch.bool)
     one_line(SceneError, "and the mask", lambda: visible_part(replace(block_scene(), mask=mask)))
     with_camera = replace(block_scene(), camera=camera_above(), mask=torch.zeros(80, 80, dtype=torch.bool))
-    one_line(SceneError, "check the mask", lambda: observe(linear_photo(torch.ones(3, 80, 80)), with_camera))
+    one_line(SceneError, "check the mask", lambda: check_lit(observe(linear_photo(torch.ones(3, 80, 80)), with_camera)))
 
 
 def test_a_photograph_of_another_size_than_the_camera_s_is_refused() -> None:

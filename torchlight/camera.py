@@ -49,14 +49,14 @@ class Camera:
 
 
 def check_intrinsics(intrinsics: Float[Tensor, "3 3"]) -> None:
-    """Raises CalibrationError unless K is a finite upper-triangular matrix with positive focal lengths."""
+    """Raises CalibrationError unless K is finite, without skew, and with positive focal lengths."""
     k = intrinsics
     if not bool(torch.isfinite(k).all()):
         raise CalibrationError(f"camera.K: not all entries are finite: {k.tolist()}")
-    lower = k[[1, 2, 2], [0, 0, 1]].abs().max().item()
-    if lower > 0 or abs(k[2, 2].item() - 1) > 1e-9 or min(k[0, 0].item(), k[1, 1].item()) <= 0:
+    zeros = k[[0, 1, 2, 2], [1, 0, 0, 1]].abs().max().item()
+    if zeros > 0 or abs(k[2, 2].item() - 1) > 1e-9 or min(k[0, 0].item(), k[1, 1].item()) <= 0:
         raise CalibrationError(
-            f"camera.K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, got {k.tolist()}"
+            f"camera.K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0 and no skew, got {k.tolist()}"
         )
 
 

@@ -122,11 +122,11 @@ def observe(photo: LinearPhoto, scene: Scene, visible: Bool[Tensor, " points"] |
 
     Raises:
         CalibrationError: the photograph's size is not the camera's.
-        SceneError: no sample is visible, or none is usable and lit.
+        SceneError: no sample is visible. A photograph of which none is usable, or none is lit, is no error here, so
+            that it harms no other of its batch; `check_lit` tells.
     """
     visible = visible_part(scene) if visible is None else visible
     observation = sample_photo(photo, scene, visible)
-    check_lit(observation)
     if scene.reference == "smooth":
         observation = reference.divide(observation, reference.smooth(observation, sample_centers(scene.receiver)))
     return observation

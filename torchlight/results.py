@@ -85,7 +85,9 @@ def write_result(
     """
     preview = figures.preview(estimate.light)
     result = {**summary(estimate, scene, provenance), "preview_clipped_flux": preview.clipped_flux}
-    title = f"{one_line(Path(provenance.photo).name, 80)}: RMS {result['rms_255']:.2f} of 255, {result['points']} samples"
+    title = (
+        f"{one_line(Path(provenance.photo).name, 80)}: RMS {result['rms_255']:.2f} of 255, {result['points']} samples"
+    )
     fit = figures.fit_picture(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in ("method", "resolution", "photo_sha256", "scene_sha256", "light_is")}

@@ -20,6 +20,7 @@ from torchlight.relighting import relight
 
 FINEST_SAMPLES = 384  # along the receiver's longer side, for a camera's view
 PIXELS_PER_CALL = 500_000
+FARTHEST = 1e3  # scene sizes: farther than any occluder
 Progress = Callable[[int, int], None]
 
 
@@ -76,8 +77,10 @@ def camera_view(
         index = torch.arange(start, min(start + PIXELS_PER_CALL, height * width))
         pixels = torch.stack([index % width, index // width], dim=-1).double()
         directions = pixel_directions(camera, pixels)
-        hit = meets_occluder(test, camera, directions)
-        points, on_plane = plane_points(camera, directions, scene.receiver)
+        depth = plane_depth(camera, directions)
+        hit = meets_occluder(test, camera, directions, depth)
+        points = camera.position[:2] + depth[:, None] * directions[:, :2]
+        on_plane = on_receiver(points, scene.receiver)
         values = interpolate(grid, points, scene.receiver)
         shown = on_plane & ~hit
         picture[:, index] = torch.where(shown, values, torch.zeros_like(values))
@@ -86,12 +89,14 @@ def camera_view(
 
 
 def meets_occluder(
-    test: OcclusionTest, camera: Camera, directions: Float[Tensor, "pixels 3"]
+    test: OcclusionTest, camera: Camera, directions: Float[Tensor, "pixels 3"], depth: Float[Tensor, " pixels"]
 ) -> Bool[Tensor, " pixels"]:
-    """Returns whether the camera sees an occluder in each direction; the plane hides nothing that stands on it."""
+    """Returns whether the camera sees an occluder in each direction; what is below the plane is hidden by it."""
     origin = test.frame.to_unit(camera.position.double().cpu().numpy()[None]).astype(np.float32)
     origins = np.ascontiguousarray(np.broadcast_to(origin, directions.shape))
-    return torch.from_numpy(test.hits(origins, directions.cpu().numpy().astype(np.float32), np.inf))
+    reach = depth.clamp(max=FARTHEST / test.frame.scale) * test.frame.scale
+    rays = (directions * reach[:, None]).cpu().numpy().astype(np.float32)
+    return torch.from_numpy(test.hits(origins, rays, 1.0))
 
 
 def standing_free(scene: Scene) -> Bool[Tensor, " points"]:
@@ -106,17 +111,17 @@ def refined(receiver: Receiver) -> Receiver:
     return replace(receiver, samples=(columns * factor, rows * factor))
 
 
-def plane_points(
-    camera: Camera, directions: Float[Tensor, "pixels 3"], receiver: Receiver
-) -> tuple[Float[Tensor, "pixels 2"], Bool[Tensor, " pixels"]]:
-    """Returns where each pixel's ray meets z = 0, and whether that lies in front of the camera and on the receiver."""
-    position = camera.position.to(directions)
-    downwards = directions[:, 2] * position[2] < 0
-    depth = torch.where(downwards, -position[2] / directions[:, 2], torch.zeros_like(directions[:, 2]))
-    points = position[:2] + depth[:, None] * directions[:, :2]
+def plane_depth(camera: Camera, directions: Float[Tensor, "pixels 3"]) -> Float[Tensor, " pixels"]:
+    """Returns the distance along each ray to z = 0, infinity where the ray does not meet it."""
+    height = camera.position.to(directions)[2]
+    meets = directions[:, 2] * height < 0
+    return torch.where(meets, -height / directions[:, 2], torch.inf)
+
+
+def on_receiver(points: Float[Tensor, "pixels 2"], receiver: Receiver) -> Bool[Tensor, " pixels"]:
+    """Returns whether plane points lie on the receiver; points at infinity do not."""
     half = torch.tensor(receiver.size, dtype=points.dtype) / 2
-    inside = ((points - torch.tensor(receiver.center, dtype=points.dtype)).abs() <= half).all(dim=-1)
-    return points, downwards & inside
+    return ((points - torch.tensor(receiver.center, dtype=points.dtype)).abs() <= half).all(dim=-1)
 
 
 def interpolate(
@@ -125,7 +130,7 @@ def interpolate(
     """Returns the grid's first three layers at plane points, bilinear over the samples whose fourth layer is 1."""
     middle = torch.tensor(receiver.center, dtype=points.dtype)
     size = torch.tensor(receiver.size, dtype=points.dtype)
-    unit = ((points - middle) / size * 2).to(grid)
+    unit = ((points - middle) / size * 2).nan_to_num().clamp(-2, 2).to(grid)
     values = torch.nn.functional.grid_sample(
         grid, unit[None, None], mode="bilinear", padding_mode="border", align_corners=False
     )[0, :, 0]

@@ -24,7 +24,7 @@ from torchlight.io.images import read_photo
 from torchlight.io.scene_file import load_scene
 from torchlight.light.bases import Basis, HaarCubemap, SphericalHarmonics, Texels
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import Estimate, explain, linearize, observe, precompute, visible_part
+from torchlight.pipeline import Estimate, check_lit, explain, linearize, observe, precompute, visible_part
 from torchlight.results import Provenance, select, write_result
 from torchlight.solvers import Solver, Status
 from torchlight.solvers.solution import CAUSE_AND_CURE
@@ -148,6 +148,7 @@ def observed(plan: Plan) -> Iterator[Job]:
         try:
             stored = read_photo(photo)
             observation = observe(linearize(stored, plan.scene), plan.scene, plan.visible)
+            check_lit(observation)
         except TorchlightError as error:
             fail(str(error) if str(photo) in str(error) else f"{photo}: {error}")
             continue

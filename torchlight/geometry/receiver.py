@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchlight.errors import SceneError
 
-MAX_SAMPLES = 4_000_000
+MAX_SAMPLES = 1_000_000
 
 
 @dataclass(frozen=True)

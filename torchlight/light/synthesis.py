@@ -12,7 +12,6 @@ from torchlight.light.environment import EnvironmentMap
 from torchlight.light.harmonics import real_spherical_harmonics
 
 ROUNDING = 1e-6
-PIXEL_NODES = 2  # Gauss points along each side of a pixel: harmonics are smooth over it
 
 
 def map_height(basis: Basis) -> int:
@@ -47,21 +46,32 @@ def without_rounding(radiance: Float[Tensor, "*batch 3 height width"]) -> Float[
 def harmonics_to_latlong(
     coefficients: Float[Tensor, "*batch coeffs"], degree: int, height: int
 ) -> Float[Tensor, "*batch {height} {2*height}"]:
-    """Returns pixel averages of a spherical harmonics expansion above the horizon, 0 below it."""
-    upper = height // 2
+    """Returns pixel averages of a spherical harmonics expansion above the horizon, 0 below it.
+
+    Y_lm separates into a function of z and cos(m phi) or sin(|m| phi): the first is averaged over each row by
+    Gauss-Legendre points in z, the second in closed form, which multiplies it by sin(m d/2) / (m d/2), d the pixel's
+    azimuth.
+    """
+    zonal = row_harmonics(degree, height)
+    order = torch.cat([torch.arange(-l, l + 1) for l in range(degree + 1)])
+    phi = torch.pi * (1 - (torch.arange(2 * height, dtype=torch.float64) + 0.5) / height)
+    angle = order.abs()[:, None] * phi
+    waves = torch.where(order[:, None] < 0, angle.sin(), angle.cos())
+    waves *= torch.special.sinc(order[:, None].double() / (2 * height))
+    weighted = coefficients.double().cpu()[..., None, :] * zonal
+    values = torch.zeros(*coefficients.shape[:-1], height, 2 * height, dtype=torch.float64)
+    values[..., : height // 2, :] = weighted @ waves
+    return values.to(coefficients)
+
+
+def row_harmonics(degree: int, height: int) -> Float[Tensor, "rows coeffs"]:
+    """Returns, for each row above the horizon, the mean over z of Y_lm's factor of z, for every (l, m)."""
     nodes = torch.tensor([-1.0, 1.0], dtype=torch.float64) / 3**0.5
-    edges = latlong.row_boundaries(height)[: upper + 1].double().cos()
+    edges = latlong.row_boundaries(height)[: height // 2 + 1].cos()
     middle, half = (edges[1:] + edges[:-1]) / 2, (edges[:-1] - edges[1:]) / 2
     z = middle[:, None] + half[:, None] * nodes
-    step = torch.pi / height
-    column = (torch.arange(2 * height, dtype=torch.float64) + 0.5) * step
-    phi = torch.pi - (column[:, None] + nodes * step / 2)
-    values = torch.zeros(*coefficients.shape[:-1], height, 2 * height, dtype=torch.float64)
-    for a in range(PIXEL_NODES):
-        for b in range(PIXEL_NODES):
-            radius = (1 - z[:, a].square()).clamp(min=0).sqrt()[:, None]
-            height_z = z[:, a, None].expand(upper, 2 * height)
-            directions = torch.stack([radius * phi[:, b].cos(), radius * phi[:, b].sin(), height_z], dim=-1)
-            harmonics = real_spherical_harmonics(degree, directions)
-            values[..., :upper, :] += torch.einsum("...k,hwk->...hw", coefficients.double().cpu(), harmonics) / 4
-    return values.to(coefficients)
+    radius = (1 - z.square()).clamp(min=0).sqrt()
+    meridian = real_spherical_harmonics(degree, torch.stack([radius, torch.zeros_like(z), z], dim=-1)).mean(dim=1)
+    # on the meridian phi = 0 the factor of z is Y_l|m| itself; Y_l,-m has the same one
+    index = torch.cat([l * (l + 1) + torch.arange(-l, l + 1).abs() for l in range(degree + 1)])
+    return meridian[:, index]
