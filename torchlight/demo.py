@@ -72,7 +72,11 @@ def run_demo(out: Path, light: EnvironmentMap, progress: Progress | None = None)
     title = f"a second pose, never shown to the solver, relit by the recovered light; RMS {relit_rms:.2f} of 255"
     picture = figures.fit_picture(judged, relit, RECEIVER, "units", title, ("truth", "relit"))
     write_atomically(out / "second_pose.png", picture)
-    return Outcome(found.rms_255.item(), relit_rms, seconds, (*files, out / "second_pose.png"))
+    lights = (EnvironmentMap(above_horizon(light.radiance) * exposure), found.light)
+    story = figures.overview(found.observation, lights, judged, relit, RECEIVER)
+    write_atomically(out / "overview.png", story)
+    files = (out / "overview.png", *files, out / "second_pose.png")
+    return Outcome(found.rms_255.item(), relit_rms, seconds, files)
 
 
 def write_pictures(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 
@@ -13,7 +14,7 @@ from jaxtyping import Float
 from kornia.color import linear_rgb_to_rgb
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from torch import Tensor
 
 from torchlight.geometry.receiver import Receiver
@@ -25,6 +26,7 @@ PREVIEW_PERCENTILE = 98.0
 PREVIEW_LEVEL = 0.8  # linear value given to that percentile of the pixels that hold light
 DIVERGING = "PuOr"  # readable with every common colour blindness
 MIN_SCALE_255 = 1.0
+PANEL_INCHES = 3.6
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,8 @@ def fit_picture(
     white = observation.samples[:, used].max().item()
     difference = luminance(predicted - observation.samples) * (255.0 / white)
     limit = max(MIN_SCALE_255, float(torch.quantile(difference[used].abs().double(), 0.998)))
-    figure = Figure(figsize=(13.5, 4.6), dpi=110, layout="constrained")
+    aspect = min(max(receiver.size[1] / receiver.size[0], 0.25), 2.5)
+    figure = Figure(figsize=(13.5, PANEL_INCHES * aspect + 1.2), dpi=110, layout="constrained")
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     extent = _extent(receiver)
     for axis, values, name in zip(axes[:2], (observation.samples, predicted), names, strict=True):
@@ -69,7 +72,7 @@ def fit_picture(
     colours = mpl.colormaps[DIVERGING].with_extremes(bad=(UNUSED, UNUSED, UNUSED))
     image = axes[2].imshow(shown, extent=extent, cmap=colours, vmin=-limit, vmax=limit, interpolation="nearest")
     _label(axes[2], f"{names[1]} - {names[0]} (luminance)", units)
-    figure.colorbar(image, ax=axes[2], shrink=0.85, extend="both", label="1/255 of the brightest sample")
+    figure.colorbar(image, ax=axes[2], shrink=0.85, extend="both", label="255ths of the brightest sample")
     figure.suptitle(title, fontsize=11, parse_math=False)
     return png_bytes(figure)
 
@@ -133,15 +136,56 @@ def _label(axis: Axes, title: str, units: str) -> None:
 
 def light_comparison(truth: EnvironmentMap, found: EnvironmentMap) -> bytes:
     """Returns a PNG of the upper hemispheres of a true and a recovered light at one exposure, one above the other."""
-    shown = preview(truth)
     figure = Figure(figsize=(9.5, 5.6), dpi=110, layout="constrained")
-    axes = figure.subplots(2, 1, sharex=True)
-    for axis, light, name in ((axes[0], truth, "true light"), (axes[1], found, "light recovered from the shadow")):
-        upper = light.radiance[:, : light.height // 2].double() * shown.scale
+    draw_lights(figure.subplots(2, 1, sharex=True), truth, found)
+    return png_bytes(figure)
+
+
+def draw_lights(axes: Sequence[Axes], truth: EnvironmentMap, found: EnvironmentMap) -> None:
+    """Draws the upper hemispheres of a true and a recovered light at one exposure into two axes."""
+    scale = preview(truth).scale
+    for axis, light, name in zip(axes, (truth, found), ("true light", "light recovered from the shadow"), strict=True):
+        upper = light.radiance[:, : light.height // 2].double() * scale
         axis.imshow(to_srgb8(upper), extent=(180, -180, 0, 90), aspect="auto", interpolation="nearest")
         axis.set_title(name)
         axis.set_ylabel("elevation [degrees]")
         axis.set_yticks([0, 30, 60, 90])
-    axes[1].set_xlabel("azimuth [degrees], 0 = +x, 90 = +y")
-    axes[1].set_xticks([180, 90, 0, -90, -180])
+        axis.set_xticks([180, 90, 0, -90, -180])
+    axes[-1].set_xlabel("azimuth [degrees], 0 = +x, 90 = +y")
+
+
+def overview(
+    photo: Observation,
+    lights: tuple[EnvironmentMap, EnvironmentMap],
+    second: Observation,
+    relit: Float[Tensor, "3 points"],
+    receiver: Receiver,
+) -> bytes:
+    """Returns the whole story as one PNG: the photograph, the true and the recovered light, a second pose relit.
+
+    Args:
+        photo: what the light was recovered from.
+        lights: true and recovered.
+        second: truth of a pose that was never shown to the solver.
+        relit: that pose under the recovered light.
+        receiver: the plane of both.
+    """
+    figure = Figure(figsize=(14.0, 4.6), dpi=110, layout="constrained")
+    panels: list[SubFigure] = list(np.array(figure.subfigures(1, 3, width_ratios=(1.0, 1.55, 1.75)), dtype=object))
+    left, middle, right = panels
+    shown = ((left.subplots(), photo, photo.samples, "1  the photograph"),)
+    truth_axis, relit_axis = right.subplots(1, 2, sharey=True)
+    shown += ((truth_axis, second, second.samples, "3  another pose: truth"),)
+    shown += ((relit_axis, second, relit, "relit by the recovered light"),)
+    for axis, observation, values, name in shown:
+        used = observation.weights > 0
+        white = observation.samples[:, used].max()
+        axis.imshow(_picture(values / white, used, receiver), extent=_extent(receiver), interpolation="nearest")
+        axis.set_title(name)
+        axis.set_xticks([])
+        axis.set_yticks([])
+    axes = middle.subplots(2, 1, sharex=True)
+    draw_lights(axes, *lights)
+    axes[0].set_title("the true light (not used)")
+    axes[1].set_title("2  the light recovered from the shadow")
     return png_bytes(figure)

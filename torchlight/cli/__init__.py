@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -14,18 +15,32 @@ from torchlight.errors import TorchlightError
 
 NOTHING_STARTED = 2
 INTERRUPTED = 130
+PIPE_CLOSED = 141
 DESCRIPTION = "Recovers light from shadows: photographs of a known object on a plane in, an HDR environment map out."
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Runs one command and exits with its code: 0 done, 1 partly failed, 2 nothing could start, 130 interrupted."""
-    command = tyro.cli(
+    code = PIPE_CLOSED
+    try:
+        try:
+            code = run(parse(argv))
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # the reader has gone (`| head`): nothing more to say, and Python must not try again when it exits
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)
+
+
+def parse(argv: Sequence[str] | None) -> arguments.Command:
+    """Returns the command that the arguments name; prints help or what is wrong with them, and exits, otherwise."""
+    return tyro.cli(
         tyro.conf.OmitArgPrefixes[tyro.conf.FlagCreatePairsOff[arguments.Command]],  # pyright: ignore
         args=argv,
         prog="torchlight",
         description=DESCRIPTION,
     )
-    sys.exit(run(command))
 
 
 def run(command: arguments.Command) -> int:
@@ -35,6 +50,8 @@ def run(command: arguments.Command) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may hold what the terminal cannot show
     try:
         return import_module(f"torchlight.cli.{type(command).__name__.lower()}").run(command)
+    except BrokenPipeError:
+        raise
     except (TorchlightError, OSError) as error:
         fail(str(error))
         return NOTHING_STARTED
