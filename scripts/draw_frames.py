@@ -45,13 +45,18 @@ def paper(points: np.ndarray | list[list[float]]) -> np.ndarray:
     return np.asarray(points, dtype=float) @ np.stack([right, up], axis=1)
 
 
+def pair(point: np.ndarray) -> tuple[float, float]:
+    """Returns a drawing coordinate as matplotlib's annotations want it."""
+    return float(point[0]), float(point[1])
+
+
 def arrow(axes: Axes, start: np.ndarray, end: np.ndarray, colour: str, label: str, width: float = 2.4) -> None:
     """Draws an arrow between world points with its name at the tip."""
     p, q = paper(start), paper(end)
     style = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 16}
-    axes.annotate("", q, p, arrowprops=style, zorder=6)
+    axes.annotate("", pair(q), pair(p), arrowprops=style, zorder=6)
     tip = q + (q - p) / np.linalg.norm(q - p) * 0.2
-    axes.annotate(label, tip, color=colour, fontsize=13, weight="bold", ha="center", va="center", zorder=7)
+    axes.annotate(label, pair(tip), color=colour, fontsize=13, weight="bold", ha="center", va="center", zorder=7)
 
 
 def solid_faces() -> np.ndarray:
@@ -80,7 +85,7 @@ def draw_world(axes: Axes) -> None:
     axes.plot(*paper(first), "o", color=GREY, markersize=5, zorder=5)
     axes.annotate(
         "sample 0",
-        paper(first),
+        pair(paper(first)),
         (4, -26),
         textcoords="offset points",
         fontsize=11,
@@ -179,7 +184,7 @@ def plane_arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float]
     axes.annotate("", end, start, arrowprops=style)
     direction = np.subtract(end, start)
     tip = np.asarray(end) + 0.18 * direction / np.linalg.norm(direction)
-    axes.annotate(label, tip, color=colour, fontsize=13, weight="bold", ha="center", va="center")
+    axes.annotate(label, pair(tip), color=colour, fontsize=13, weight="bold", ha="center", va="center")
 
 
 def tidy(axes: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
