@@ -2,7 +2,8 @@
 
     python scripts/draw_transport.py --out docs/images
 
-The block and the sky of `torchlight demo`: three columns of the transport, and all of them together.
+The block and the sky of `torchlight demo`: three columns of the transport, and all of them together. Prints how many
+singular values of the transport, over the visible samples, exceed 0.1, 0.01 ... of the largest.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from torchlight.light import cubemap
 from torchlight.light.directions import to_angles
 from torchlight.light.overlap import latlong_to_texels
 from torchlight.light.procedural import sun_and_window
+from torchlight.pipeline import DIRECTIONS_PER_EDGE
 from torchlight.synthetic import block_scene, receiver_image
 from torchlight.transfer import transport
 
-RESOLUTION, SUBSAMPLES = 16, 6
+RESOLUTION = 16
 UNUSED = 0.55
 
 
@@ -55,12 +57,15 @@ def main() -> None:
     out: Path = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     scene = block_scene(FIRST_POSE, RECEIVER)
-    matrix = transport(scene, RESOLUTION, SUBSAMPLES).transport.double()
+    matrix = transport(scene, RESOLUTION, DIRECTIONS_PER_EDGE // RESOLUTION).transport.double()
     radiance = latlong_to_texels(sun_and_window(256).radiance, RESOLUTION)
     cells = cubemap.texel_cells(RESOLUTION)
     flux = radiance.mean(dim=0) * cubemap.cell_cosine_weights(cells)[:, 0]
     chosen = brightest_texels(flux, cubemap.cell_directions(cells)[:, 0])
     used = visible_samples(scene)
+    singular = torch.linalg.svdvals(matrix[used])
+    counts = [f"1e-{digits}: {int((singular > 10.0**-digits * singular[0]).sum())}" for digits in range(1, 7)]
+    print(f"{int(used.sum())} visible samples, {len(flux)} texels; singular values above", ", ".join(counts))
     figure = Figure(figsize=(11, 3.1), dpi=110, layout="constrained")
     axes = figure.subplots(1, 4)
     for axis, texel, name in zip(axes[:3], chosen, ("sun", "window", "zenith"), strict=True):

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 SMALLEST_SHIFT = 1e-13  # just above the rounding of a float64 Gram matrix with unit diagonal
+FEW = 4
 AT_BOUND = 1e-10  # of its value before the step: a coefficient this small has reached 0
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1, *(10.0**-k for k in range(2, 15)))
 
@@ -53,7 +54,7 @@ def minimize_nonnegative(
     x = start.clone()
     passive = (x > 0).nonzero()[:, 0]
     w = linear - x[passive] @ gram[passive] - ridge * x
-    entrants, single_failed = min(limits.most_entrants, max(8, linear.shape[0] // 8)), False
+    entrants, single_failed = min(limits.most_entrants, FEW), False
     for step in range(limits.max_steps):
         free = x > 0
         if violation(free, w) <= limits.tolerance:
@@ -67,7 +68,9 @@ def minimize_nonnegative(
             x[index] += move
             w -= move @ rows
             w[index] -= ridge * move
-            entrants, single_failed = min(limits.most_entrants, max(1, 2 * entrants)), False
+            # in proportion to what is passive: a light of five texels would else drag hundreds in and out again
+            most = min(limits.most_entrants, FEW + index.shape[0] // 2)
+            entrants, single_failed = min(most, max(1, 2 * entrants)), False
         elif entrants > 0:
             entrants, single_failed = entrants // 4, entrants == 1
         elif single_failed:
