@@ -260,9 +260,9 @@ def test_progress_ends_at_the_whole() -> None:
 
 
 def test_a_transport_beyond_the_budget_is_refused_before_any_work() -> None:
-    scene = Scene(EMPTY, Receiver((0.0, 0.0), (1.0, 1.0), (2000, 2000)))
+    scene = Scene(EMPTY, Receiver((0.0, 0.0), (1.0, 1.0), (1000, 1000)))
     with pytest.raises(
-        ConfigError, match=r"^the transport of 4,000,000 samples x 49,152 texels needs [^\n]* --resolution$"
+        ConfigError, match=r"^the transport of 1,000,000 samples x 49,152 texels needs [^\n]* --resolution$"
     ):
         transport(scene, 128, 2)
 

@@ -86,7 +86,7 @@ def write_result(
     preview = figures.preview(estimate.light)
     result = {**summary(estimate, scene, provenance), "preview_clipped_flux": preview.clipped_flux}
     title = (
-        f"{one_line(Path(provenance.photo).name, 80)}: RMS {result['rms_255']:.2f} of 255, {result['points']} samples"
+        f"{one_line(Path(provenance.photo).name, 80)}: RMS {result['rms_255']:.2f} of 255, {result['visible']} samples"
     )
     fit = figures.fit_picture(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)
     with partial_folder(folder, overwrite=overwrite) as partial:
@@ -116,17 +116,14 @@ def tensors(estimate: Estimate) -> dict[str, Tensor]:
 def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[str, Any]:
     """Returns the figures of one photograph's estimate, ready for JSON (NaN as null)."""
     solution, observation = estimate.solution, estimate.observation
-    directions = [direction for direction in estimate.peaks.directions.tolist() if direction[0] == direction[0]]
-    points = int((observation.weights > 0).sum())
+    peaks = found_peaks(estimate.peaks)
     coefficients = solution.coefficients
     largest = coefficients.abs().amax(dim=-1, keepdim=True)
     return {
         "photo": provenance.photo,
         "rms_255": number(estimate.rms_255),
         "rms_relative": number(metrics.rms_relative(estimate.predicted, observation.samples, observation.weights)),
-        "points": points,
-        "samples": scene.receiver.points,
-        "visible": points / scene.receiver.points,
+        **visibility(observation),
         "method": provenance.method,
         "resolution": estimate.basis.resolution,
         "solver": provenance.solver,
@@ -137,11 +134,9 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "steps": solution.steps.tolist(),
         "kkt_residual": [number(value) for value in solution.kkt_residual],
         "gap": [number(value) for value in solution.gap],
-        "peak_direction": directions[0] if directions else None,
-        "peaks": [
-            {"direction": direction, "share": share}
-            for direction, share in zip(directions, estimate.peaks.shares.tolist(), strict=False)
-        ],
+        "peak_direction": peaks[0]["direction"] if peaks else None,
+        "peak_share": peaks[0]["share"] if peaks else None,
+        "peaks": sorted(peaks[1:], key=lambda peak: -peak["share"]),
         "reference": scene.reference,
         "units": "relative",
         "light_is": light_is(scene),
@@ -151,6 +146,18 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "scene_sha256": provenance.scene_sha256,
         "versions": versions(),
     }
+
+
+def visibility(observation: Observation) -> dict[str, Any]:
+    """Returns how many samples are used, of how many, and their ratio."""
+    visible, points = int((observation.weights > 0).sum()), observation.weights.shape[-1]
+    return {"visible": visible, "points": points, "visible_share": visible / points}
+
+
+def found_peaks(peaks: Peaks) -> list[dict[str, Any]]:
+    """Returns direction and share of the flux of every peak there is, that of the brightest element first."""
+    both = zip(peaks.directions.tolist(), peaks.shares.tolist(), strict=True)
+    return [{"direction": direction, "share": share} for direction, share in both if share > 0]
 
 
 def light_is(scene: Scene) -> str:

@@ -23,12 +23,13 @@ from torchlight.io.files import read_bytes, sha256_of
 from torchlight.io.images import read_photo
 from torchlight.io.scene_file import load_scene
 from torchlight.light.bases import Basis, HaarCubemap, SphericalHarmonics, Texels
+from torchlight.light.cubemap import texel_count
 from torchlight.photo.observation import Observation
 from torchlight.pipeline import Estimate, check_lit, explain, linearize, observe, precompute, visible_part
 from torchlight.results import Provenance, select, write_result
 from torchlight.solvers import Solver, Status
 from torchlight.solvers.solution import CAUSE_AND_CURE
-from torchlight.transfer import Transfer
+from torchlight.transfer import Transfer, check_budget
 
 PHOTOS_PER_SOLVE = 32
 DEFAULT_RESOLUTION = 16
@@ -69,8 +70,8 @@ def run(command: arguments.Estimate) -> int:
     """
     check_places(command)
     plan = prepare(command)
-    points = int(plan.visible.sum())
-    print(f"{command.scene}: {points} of {plan.scene.receiver.points} samples visible")
+    visible, points = int(plan.visible.sum()), plan.scene.receiver.points
+    print(f"{command.scene}: {visible} of {points} samples visible ({visible / points:.1%})")
     jobs = list(observed(plan))
     if not jobs:
         return NOTHING_STARTED
@@ -114,6 +115,7 @@ def prepare(command: arguments.Estimate) -> Plan:
     device = named_device(command.device)
     with timed(seconds, "scene"):
         scene = load_scene(command.scene)
+        check_budget(scene.receiver.points, texel_count(basis.resolution))
         visible = visible_part(scene)
     with timed(seconds, "transport"), progress_bar("casting rays") as progress:
         transfer = precompute(scene, basis.resolution, use_cache=not command.no_cache, progress=progress)
@@ -181,7 +183,7 @@ def write(plan: Plan, job: Job, estimate: Estimate, solve_seconds: float) -> boo
         return False
     short = "" if set(result["status"]) == {"converged"} else "; the solver stopped short: see kkt_residual"
     print(
-        f"{command.out / job.photo.stem}: RMS {result['rms_255']:.2f} of 255 on {result['points']} samples, "
+        f"{command.out / job.photo.stem}: RMS {result['rms_255']:.2f} of 255 on {result['visible']} samples, "
         f"{result['preview_clipped_flux']:.0%} of the flux clipped in light.png{short}"
     )
     return True

@@ -12,7 +12,7 @@ from torchlight.io.lights import read_light
 from torchlight.io.scene_file import load_scene
 from torchlight.pipeline import check_lit, linearize, observe
 from torchlight.relighting import relight
-from torchlight.results import number
+from torchlight.results import number, visibility
 
 
 def run(command: arguments.Evaluate) -> int:
@@ -29,10 +29,7 @@ def run(command: arguments.Evaluate) -> int:
         scale = metrics.fit_scale(predicted, samples, weights)
         predicted = predicted * scale[:, None]
         result["scale"] = [number(factor) for factor in scale]
-    points = int((weights > 0).sum())
     result["rms_255"] = number(metrics.rms_255(predicted, samples, weights))
     result["rms_relative"] = number(metrics.rms_relative(predicted, samples, weights))
-    result["visible"] = points / scene.receiver.points
-    result["points"] = points
-    print(json.dumps(result, indent=2))
+    print(json.dumps({**result, **visibility(observation)}, indent=2))
     return 0
