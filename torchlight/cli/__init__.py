@@ -1,4 +1,4 @@
-"""The command line: `torchlight estimate|render|evaluate|cache|doctor|demo`."""
+"""The command line: `torchlight estimate|analyze|render|evaluate|cache|doctor|demo`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ import tyro
 
 from torchlight.cli import arguments
 from torchlight.errors import TorchlightError
+
+# Read when torch starts its threads. Their default is to spin while they wait, which on a machine that does anything
+# else costs several times the work itself.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 NOTHING_STARTED = 2
 INTERRUPTED = 130

@@ -45,6 +45,32 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Analyze:
+    """Say before any photograph is taken how fine a light the scene's shadows determine, and in which directions.
+
+    Several scenes are analysed one by one and together, as photographs of one light. Prints a verdict of three lines
+    each and writes analysis.json, figures and an observability map; see docs/analysis.md.
+    """
+
+    scenes: Annotated[tuple[Path, ...], tyro.conf.Positional, arg(metavar="SCENE [SCENE ...]")]
+    """Scene files (YAML)."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder that receives the results."""
+    noise: float = 0.01
+    """Standard deviation of the noise per sample, as a share of the brightest sample."""
+    bandwidth_max: int = 12
+    """Largest bandwidth B of the nullity curves; B means degrees l < B."""
+    rotations: int = 300
+    """Random turns of the sampling directions over which nullity is averaged."""
+    seed: int = 0
+    """Seed of these turns."""
+    overwrite: bool = False
+    """Replace an existing analysis."""
+    no_cache: bool = False
+    """Neither read nor write the scenes' transports on disk."""
+
+
+@dataclass(frozen=True)
 class Render:
     """Render the scene's receiver under a light: the rectified plane, or the camera's view where the scene has one.
 
@@ -116,6 +142,7 @@ class Demo:
 
 Command = (
     Annotated[Estimate, tyro.conf.subcommand("estimate")]
+    | Annotated[Analyze, tyro.conf.subcommand("analyze")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Cache, tyro.conf.subcommand("cache")]
