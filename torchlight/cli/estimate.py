@@ -31,7 +31,7 @@ from torchlight.solvers import Solver, Status
 from torchlight.solvers.solution import CAUSE_AND_CURE
 from torchlight.transfer import Transfer, check_budget
 
-PHOTOS_PER_SOLVE = 32
+PHOTOS_PER_SOLVE = 8  # results appear block by block; the exact solver gains nothing from more at once
 DEFAULT_RESOLUTION = 16
 DEFAULT_HARMONICS_RESOLUTION = 32  # harmonics vary within a texel: a finer transport keeps that below 0.1 of 255
 SOME_FAILED = 1
@@ -72,12 +72,14 @@ def run(command: arguments.Estimate) -> int:
     plan = prepare(command)
     visible, points = int(plan.visible.sum()), plan.scene.receiver.points
     print(f"{command.scene}: {visible} of {points} samples visible ({visible / points:.1%})")
-    jobs = list(observed(plan))
-    if not jobs:
+    usable, done = 0, 0
+    for start in range(0, len(command.photos), PHOTOS_PER_SOLVE):
+        jobs = list(observed(plan, command.photos[start : start + PHOTOS_PER_SOLVE]))
+        usable += len(jobs)
+        done += solve_and_write(plan, jobs) if jobs else 0
+    if not usable:
         return NOTHING_STARTED
-    failed = len(command.photos) - len(jobs)
-    for start in range(0, len(jobs), PHOTOS_PER_SOLVE):
-        failed += solve_and_write(plan, jobs[start : start + PHOTOS_PER_SOLVE])
+    failed = len(command.photos) - done
     if failed and len(command.photos) > 1:
         fail(f"{failed} of {len(command.photos)} photographs failed; the others are complete in {command.out}")
     return SOME_FAILED if failed else 0
@@ -143,9 +145,9 @@ def named_device(name: str) -> torch.device:
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
-def observed(plan: Plan) -> Iterator[Job]:
+def observed(plan: Plan, photos: Sequence[Path]) -> Iterator[Job]:
     """Yields what each photograph shows; a photograph that cannot be used is reported in one line and left out."""
-    for photo in plan.command.photos:
+    for photo in photos:
         start = time.perf_counter()
         try:
             stored = read_photo(photo)
@@ -158,13 +160,13 @@ def observed(plan: Plan) -> Iterator[Job]:
 
 
 def solve_and_write(plan: Plan, jobs: Sequence[Job]) -> int:
-    """Solves photographs together, writes each one's folder, and returns how many failed."""
+    """Solves photographs together, writes each one's folder, and returns how many are done."""
     start = time.perf_counter()
     samples = torch.stack([job.observation.samples for job in jobs]).to(plan.device)
     weights = torch.stack([job.observation.weights for job in jobs]).to(plan.device)
     estimate = explain(Observation(samples, weights), plan.scene, plan.transfer, plan.basis, plan.solver)
     share = (time.perf_counter() - start) / len(jobs)
-    return sum(not write(plan, job, select(estimate, item), share) for item, job in enumerate(jobs))
+    return sum(write(plan, job, select(estimate, item), share) for item, job in enumerate(jobs))
 
 
 def write(plan: Plan, job: Job, estimate: Estimate, solve_seconds: float) -> bool:
