@@ -137,7 +137,7 @@ def _label(axis: Axes, title: str, units: str) -> None:
 def light_comparison(truth: EnvironmentMap, found: EnvironmentMap) -> bytes:
     """Returns a PNG of the upper hemispheres of a true and a recovered light at one exposure, one above the other."""
     figure = Figure(figsize=(9.5, 5.6), dpi=110, layout="constrained")
-    draw_lights(figure.subplots(2, 1, sharex=True), truth, found)
+    draw_lights(list(figure.subplots(2, 1, sharex=True)), truth, found)
     return png_bytes(figure)
 
 
@@ -184,7 +184,7 @@ def overview(
         axis.set_title(name)
         axis.set_xticks([])
         axis.set_yticks([])
-    axes = middle.subplots(2, 1, sharex=True)
+    axes = list(middle.subplots(2, 1, sharex=True))
     draw_lights(axes, *lights)
     axes[0].set_title("the true light (not used)")
     axes[1].set_title("2  the light recovered from the shadow")

@@ -145,8 +145,9 @@ def visible_part(scene: Scene) -> Bool[Tensor, " points"]:
         )
         visible = kept.weights > 0
     if not bool(visible.any()):
-        where = "no sample of the receiver" if scene.camera is None else "the camera sees no sample of the receiver"
-        raise SceneError(f"{where} can be used; check the pose, the receiver's place and size, and the mask")
+        seen = "is usable" if scene.camera is None else "that is usable"
+        what = "no sample of the receiver" if scene.camera is None else "the camera sees no sample of the receiver"
+        raise SceneError(f"{what} {seen}; check the pose, the receiver's place and size, and the mask")
     return visible
 
 

@@ -66,7 +66,8 @@ def camera_view(
     """
     fine = replace(scene, receiver=refined(scene.receiver), camera=None)
     free = standing_free(fine)
-    samples = torch.cat([relight(fine, light, rays, progress) * free, free.to(torch.float32)[None]])
+    values = relight(fine, light, rays, progress).float().cpu()
+    samples = torch.cat([values * free, free.float()[None]])
     columns, rows = fine.receiver.samples
     grid = samples.reshape(1, 4, rows, columns)
     test = scene_occlusion(scene)

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from torchlight.analysis.verdict import excess
 from torchlight.cli import NOTHING_STARTED, arguments, fail
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError, TorchlightError
@@ -72,6 +73,9 @@ def run(command: arguments.Estimate) -> int:
     plan = prepare(command)
     visible, points = int(plan.visible.sum()), plan.scene.receiver.points
     print(f"{command.scene}: {visible} of {points} samples visible ({visible / points:.1%})")
+    too_much = excess(plan.transfer, plan.visible, plan.basis, command.solver != "ridge")
+    if too_much is not None:
+        fail(f"warning: {too_much}")
     usable, done = 0, 0
     for start in range(0, len(command.photos), PHOTOS_PER_SOLVE):
         jobs = list(observed(plan, command.photos[start : start + PHOTOS_PER_SOLVE]))
