@@ -316,31 +316,32 @@ def test_the_default_sampling_has_192_directions_along_a_face(
 
 def test_the_key_ignores_what_the_transport_does_not_depend_on() -> None:
     scene = small_scene()
-    key = transport_key(scene, 2, 2)
+    key = transport_key(scene, 2, 2, 4)
     same = [
         replace(scene, camera=camera_above()),
         replace(scene, mask=torch.ones(3, 3, dtype=torch.bool)),
         replace(scene, reference="smooth", encoding="srgb", units="mm"),
         replace(scene, receiver=replace(scene.receiver, albedo=(0.5, 0.5, 0.5))),
     ]
-    assert {transport_key(other, 2, 2) for other in same} == {key}
+    assert {transport_key(other, 2, 2, 4) for other in same} == {key}
 
 
 def test_the_key_changes_with_everything_the_transport_depends_on(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = small_scene()
     moved = scene.triangles + torch.tensor([1e-9, 0.0, 0.0], dtype=torch.float64)
     keys = [
-        transport_key(scene, 2, 2),
-        transport_key(scene, 4, 2),
-        transport_key(scene, 2, 4),
-        transport_key(replace(scene, triangles=moved), 2, 2),
-        transport_key(replace(scene, receiver=replace(scene.receiver, center=(0.1, 0.0))), 2, 2),
-        transport_key(replace(scene, receiver=replace(scene.receiver, size=(4.0, 4.1))), 2, 2),
-        transport_key(replace(scene, receiver=replace(scene.receiver, samples=(4, 5))), 2, 2),
+        transport_key(scene, 2, 2, 4),
+        transport_key(scene, 4, 2, 4),
+        transport_key(scene, 2, 4, 4),
+        transport_key(scene, 2, 2, 8),
+        transport_key(replace(scene, triangles=moved), 2, 2, 4),
+        transport_key(replace(scene, receiver=replace(scene.receiver, center=(0.1, 0.0))), 2, 2, 4),
+        transport_key(replace(scene, receiver=replace(scene.receiver, size=(4.0, 4.1))), 2, 2, 4),
+        transport_key(replace(scene, receiver=replace(scene.receiver, samples=(4, 5))), 2, 2, 4),
     ]
     monkeypatch.setattr(pipeline, "ALGORITHM", "transport-next")
-    keys.append(transport_key(scene, 2, 2))
+    keys.append(transport_key(scene, 2, 2, 4))
     monkeypatch.undo()
     monkeypatch.setattr(pipeline, "backend", lambda: "raycast")
-    keys.append(transport_key(scene, 2, 2))
+    keys.append(transport_key(scene, 2, 2, 4))
     assert len(set(keys)) == len(keys)

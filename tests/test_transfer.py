@@ -20,7 +20,7 @@ from torchlight.geometry.scene import Scene
 from torchlight.geometry.transforms import transform
 from torchlight.light import cubemap
 from torchlight.light.bases import HaarCubemap, SphericalHarmonics, Texels
-from torchlight.transfer import Transfer, coprime_near, footprint_offsets, transport, work_blocks
+from torchlight.transfer import Transfer, coprime_near, footprint_offsets, refine, transport, work_blocks
 
 RECEIVER = Receiver((0.0, 0.0), (4.0, 4.0), (12, 12))
 BLOCK = Block((1.0, 0.6, 1.2), 20.0, (0.3, -0.2))
@@ -291,3 +291,24 @@ def test_a_basis_of_another_resolution_is_refused() -> None:
 def test_a_transport_of_another_resolution_is_refused() -> None:
     with pytest.raises(ShapeError, match="resolution 4 has 48 visible texels, got 47"):
         Transfer(torch.zeros(3, 47), 4)
+
+
+def test_refining_changes_partly_hidden_pairs_only_and_brings_them_closer_to_the_truth() -> None:
+    scene = Scene(block_triangles(), RECEIVER)
+    coarse, fine = transport(scene, 4, 4), transport(scene, 4, 64)
+    refined = refine(scene, coarse, 32)
+    sky = cubemap.cosine_weights(4, 1)[:, 0].float()
+    partly = (coarse.transport > 1e-5 * sky) & (coarse.transport < (1 - 1e-5) * sky)
+    assert 0.01 < partly.float().mean().item() < 0.9
+    assert_close(refined.transport[~partly], coarse.transport[~partly], rtol=0, atol=0)
+    before = (coarse.transport - fine.transport)[partly].square().mean().sqrt().item()
+    after = (refined.transport - fine.transport)[partly].square().mean().sqrt().item()
+    assert after < before / 3, (before, after)
+
+
+def test_refining_in_small_blocks_is_bit_equal(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(block_triangles(), RECEIVER)
+    coarse = transport(scene, 2, 4)
+    whole = refine(scene, coarse, 8)
+    monkeypatch.setattr("torchlight.transfer.RAYS_PER_BLOCK", 200)
+    assert_close(refine(scene, coarse, 8).transport, whole.transport, rtol=0, atol=0)

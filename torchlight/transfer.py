@@ -26,6 +26,7 @@ from torchlight.light.bases import Basis
 
 ALGORITHM = "transport-1"  # part of the cache key: raise it whenever the numbers change
 MEMORY_BUDGET = 8 * 2**30  # bytes the transport itself may take
+PARTLY = 1e-5  # of a texel: less than one ray of many, more than the rounding of float32 sums
 RAYS_PER_BLOCK = 1_000_000  # about 40 MB of rays per thread
 Progress = Callable[[int, int], None]
 
@@ -108,6 +109,48 @@ def transport(scene: Scene, resolution: int, subsamples: int, progress: Progress
         if progress is not None:
             progress(done, texels * len(points))
     return Transfer(result.T.contiguous(), resolution)
+
+
+def refine(scene: Scene, coarse: Transfer, subsamples: int, progress: Progress | None = None) -> Transfer:
+    """Returns the transport with every partly hidden (sample, texel) pair cast anew, subsamples^2 rays each.
+
+    A pair that all coarse rays passed, or none, keeps its value. Shadow edges are where the error is, and they cross
+    few pairs (5 to 8 % under a block at 16 texels), so that many more rays there cost little.
+
+    Args:
+        scene: the scene that `coarse` was made of.
+        coarse: from `transport`.
+        subsamples: cells along a texel's edge, more than `coarse` was made with.
+        progress: called with (texels done, texels).
+    """
+    cells = cubemap.texel_cells(coarse.resolution, subsamples)
+    directions = cubemap.cell_directions(cells).numpy()
+    weights = cubemap.cell_cosine_weights(cells).float()
+    offsets = footprint_offsets(len(directions), subsamples, scene.receiver).numpy()
+    points = receiver_points(scene.receiver)
+    test = scene_occlusion(scene)
+    result = coarse.transport.clone()
+
+    def cast(pair: tuple[int, Tensor]) -> tuple[int, Tensor, Tensor]:
+        texel, samples = pair
+        part = slice(texel, texel + 1)
+        hidden = hidden_cells(test, points[samples.numpy()], directions[part], offsets[part])
+        return texel, samples, torch.einsum("tc,tcp->tp", weights[part], 1.0 - hidden.float())[0]
+
+    for texel, samples, values in ordered_map(cast, partly_hidden(coarse, RAYS_PER_BLOCK // subsamples**2)):
+        result[samples, texel] = values
+        if progress is not None:
+            progress(texel + 1, len(directions))
+    return replace(coarse, transport=result)
+
+
+def partly_hidden(coarse: Transfer, most: int) -> Iterator[tuple[int, Tensor]]:
+    """Yields (texel, samples): the samples from which a texel is partly hidden, at most `most` (or one) at a time."""
+    open_sky = cubemap.cosine_weights(coarse.resolution, 1)[:, 0].to(coarse.transport)
+    for texel, whole in enumerate(open_sky):
+        column = coarse.transport[:, texel]
+        partly = (column > whole * PARTLY) & (column < whole * (1 - PARTLY))
+        yield from ((texel, samples) for samples in partly.nonzero()[:, 0].split(max(1, most)) if len(samples))
 
 
 def check_budget(points: int, texels: int) -> None:

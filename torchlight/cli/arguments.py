@@ -88,7 +88,7 @@ class Render:
     """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
     exposure: float = 1.0
     """Factor applied before writing."""
-    rays: int = 32768
+    rays: int = 65536
     """Directions the light is cut into."""
     overwrite: bool = False
     """Replace an existing picture."""
@@ -108,7 +108,7 @@ class Evaluate:
     """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
     fit_scale: bool = False
     """Fit one factor per channel first, and print the factors."""
-    rays: int = 32768
+    rays: int = 65536
     """Directions the light is cut into."""
 
 
