@@ -213,20 +213,35 @@ def trees(tree: Quadtree, divisions: int) -> list[Tensor]:
 
 @pytest.mark.parametrize("kind", [spotty, patchy])
 def test_greedy_growth_is_near_the_best_of_all_trees_of_three_divisions(coarse_shadow: Transfer, kind: Kind) -> None:
-    """One light in ten may trap any greedy search: the division that pays first is not always one of the best three."""
+    """Growth alone is trapped by one light in ten: the division that pays first need not be one of the best three."""
     tree, matrix = quadtree(4), coarse_shadow.transport
     columns = [(matrix @ indicators(tree, tree.leaves(one)).T).numpy() for one in trees(tree, 3)]
     assert len(columns) == 122
-    ratios = []
+    rule, ratios = ProjectedGain(threshold=0.0), []
     for seed in range(20):
         photo = observed(coarse_shadow, kind(4, seed), noise=0.002, seed=seed)
         target = photo.samples[0]
-        found = solved(coarse_shadow, photo, AdaptiveHaar(4, 18, noise=0.002, rule=ONE_BY_ONE, condition_limit=1e6))
+        found = solved(coarse_shadow, photo, AdaptiveHaar(4, 18, noise=0.002, rule=rule, condition_limit=1e6))
         assert found.refinement.functions.item() == 18
         least = min(nnls(some, target.numpy())[1] for some in columns) / target.norm().item()
         ratios.append((found.solution.relative_residual.item() / least) ** 2)
     assert np.median(ratios) < 1.05
-    assert np.quantile(ratios, 0.9) < 1.8
+    assert max(ratios) < 1.8  # below 1 where single wavelets describe the light better than any three trios
+
+
+@pytest.mark.parametrize("kind", [spotty, patchy])
+def test_growth_finds_the_best_trio_first(coarse_shadow: Transfer, kind: Kind) -> None:
+    tree, matrix = quadtree(4), coarse_shadow.transport
+    columns = [(matrix @ indicators(tree, tree.leaves(one)).T).numpy() for one in trees(tree, 1)]
+    assert len(columns) == 9
+    ratios = []
+    for seed in range(20):
+        photo = observed(coarse_shadow, kind(4, seed), noise=0.002, seed=seed)
+        found = solved(coarse_shadow, photo, AdaptiveHaar(4, 12, noise=0.002, rule=ONE_BY_ONE, condition_limit=1e6))
+        least = min(nnls(some, photo.samples[0].numpy())[1] for some in columns) / photo.samples.norm().item()
+        ratios.append((found.solution.relative_residual.item() / least) ** 2)
+    assert np.median(ratios) < 1 + 1e-6
+    assert max(ratios) < 1.8
     assert min(ratios) > 1 - 1e-6
 
 

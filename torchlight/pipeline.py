@@ -23,7 +23,9 @@ from torchlight.geometry.footprints import footprint_points, subpoints_for, visi
 from torchlight.geometry.receiver import sample_centers
 from torchlight.geometry.scene import Scene
 from torchlight.geometry.visibility import backend
+from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
 from torchlight.inversion.linear import default_solver, solve_light
+from torchlight.inversion.refinement import Refinement
 from torchlight.io import cache
 from torchlight.io.images import Photo
 from torchlight.light.bases import Basis, SphericalHarmonics, Texels
@@ -53,6 +55,7 @@ class Estimate:
         observation: what the photographs showed, after the reference was divided out.
         predicted: what the receiver shows under the light, same units as the observation.
         peaks: directions of the strongest sources.
+        refinement: functions in use and why no others, of the adaptive method; else None.
     """
 
     light: EnvironmentMap
@@ -61,6 +64,7 @@ class Estimate:
     observation: Observation
     predicted: Float[Tensor, "*batch 3 points"]
     peaks: Peaks
+    refinement: Refinement | None = None
 
     @property
     def rms_255(self) -> Float[Tensor, "*batch"]:
@@ -72,7 +76,7 @@ def estimate(
     photos: LinearPhoto | Float[Tensor, "*batch 3 height width"],
     scene: Scene,
     basis: Basis = DEFAULT_BASIS,
-    solver: Solver | None = None,
+    solver: Solver | AdaptiveHaar | None = None,
     transfer: Transfer | None = None,
 ) -> Estimate:
     """Returns the light that explains linear photographs of a scene, all of them and all channels at once.
@@ -81,7 +85,7 @@ def estimate(
         photos: linear photographs (`linearize`), or rectified receiver images where the scene has no camera.
         scene: occluders, receiver, camera.
         basis: what light is made of.
-        solver: None = exact and non-negative.
+        solver: None = exact and non-negative; `AdaptiveHaar` goes with its own `basis`.
         transfer: from `precompute`; computed when absent.
     """
     linear = photos if isinstance(photos, LinearPhoto) else linear_photo(photos)
@@ -90,15 +94,34 @@ def estimate(
     return explain(observation, scene, transfer, basis, default_solver(basis) if solver is None else solver)
 
 
-def explain(observation: Observation, scene: Scene, transfer: Transfer, basis: Basis, solver: Solver) -> Estimate:
+def explain(
+    observation: Observation, scene: Scene, transfer: Transfer, basis: Basis, solver: Solver | AdaptiveHaar
+) -> Estimate:
     """Returns the light that explains observations of one scene, with its prediction."""
     transfer = transfer.to(device=observation.samples.device)
     factor = albedo_over_pi(scene.receiver, observation.samples)
     received = replace(observation, samples=observation.samples / factor)
-    solution = solve_light(transfer, basis, received, solver)
+    solution, refinement = find_light(transfer, basis, received, solver)
     predicted = factor * irradiance(transfer.project(basis), solution.coefficients).to(factor)
     light = synthesize(basis, solution.coefficients)
-    return Estimate(light, solution, basis, observation, predicted, find_peaks(basis, solution, light))
+    peaks = find_peaks(basis, solution, light)
+    return Estimate(light, solution, basis, observation, predicted, peaks, refinement)
+
+
+def find_light(
+    transfer: Transfer, basis: Basis, observation: Observation, solver: Solver | AdaptiveHaar
+) -> tuple[Solution, Refinement | None]:
+    """Returns the coefficients of the light, and what the adaptive method decided on the way.
+
+    Raises:
+        ConfigError: the basis is not that of the adaptive method.
+    """
+    if not isinstance(solver, AdaptiveHaar):
+        return solve_light(transfer, basis, observation, solver), None
+    if basis != solver.basis:
+        raise ConfigError(f"AdaptiveHaar works on {solver.basis}, got the basis {basis}; pass its attribute `basis`")
+    found = solve_adaptive(transfer, observation, solver)
+    return found.solution, found.refinement
 
 
 def linearize(photo: Photo, scene: Scene) -> LinearPhoto:

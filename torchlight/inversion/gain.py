@@ -35,6 +35,9 @@ REACH = 2.0
 class ProjectedGain:
     """Divides the leaf that lowers the squared residual most, again and again; all leaves stay candidates.
 
+    Two answers are found: whole trios grown to the budget, and the same grown further and pruned, wavelet by wavelet.
+    The one that explains the photograph better is taken.
+
     Attributes:
         threshold: tau: least gain of a trio, in squared sigmas.
         share: of the possible divisions made between two solves; smaller is greedier and slower.
@@ -58,16 +61,23 @@ class ProjectedGain:
 
     def refine(self, item: Item, bounds: Bounds) -> Grown:
         """Returns the tree, the functions in use and the light of one item."""
-        room = int(bounds.budget * self.overgrowth)
-        grown = grow(item, replace(bounds, budget=room), self.threshold, self.share)
-        return prune(item, grown, bounds.budget, self)
+        nothing = torch.zeros_like(item.columns.tree.supports, dtype=torch.bool)
+        whole = grow(item, nothing, bounds, self)
+        room = replace(bounds, budget=int(bounds.budget * self.overgrowth))
+        pruned = prune(item, grow(item, whole.divided, room, self), bounds.budget, self)
+        return min(whole, pruned, key=lambda grown: squared_residual(item, grown.fitted))
 
 
-def grow(item: Item, bounds: Bounds, threshold: float, share: float) -> Grown:
-    """Returns whole trios grown best first, to the budget or until no division gains more than the threshold."""
+def squared_residual(item: Item, fitted: Fitted) -> float:
+    """Returns |b - A v|^2."""
+    return (item.target - item.columns.nodes[:, fitted.leaves] @ fitted.values).square().sum().item()
+
+
+def grow(item: Item, start: Bool[Tensor, " supports"], bounds: Bounds, rule: ProjectedGain) -> Grown:
+    """Returns whole trios grown best first from a tree, to the budget or until no division gains enough."""
     tree = item.columns.tree
-    divided = torch.zeros_like(tree.supports, dtype=torch.bool)
-    kept = constants(tree)
+    divided = start.clone()
+    kept = constants(tree).index_fill(0, trios(tree, divided.nonzero()[:, 0]).reshape(-1), True)
     unseen = unseen_supports(item)
     light = torch.zeros(3 * tree.resolution**2, dtype=torch.float64, device=kept.device)
     while True:
@@ -78,11 +88,11 @@ def grow(item: Item, bounds: Bounds, threshold: float, share: float) -> Grown:
         if candidates.shape[0] == 0:
             break
         gain, sound = projected_gain(item, fitted, candidates, bounds.condition_limit)
-        open_ones = sound & (gain > threshold)
+        open_ones = sound & (gain > rule.threshold)
         fate[candidates] = torch.where(sound, int(Fate.BELOW_THRESHOLD), int(Fate.ILL_CONDITIONED))
         fate[candidates[open_ones]] = int(Fate.LIMIT)
         functions = int(kept.sum())
-        count = min(max(1, int(share * functions / WAVELETS)), (bounds.budget - functions) // WAVELETS)
+        count = min(max(1, int(rule.share * functions / WAVELETS)), (bounds.budget - functions) // WAVELETS)
         chosen = best(torch.where(open_ones, gain, -torch.inf), min(count, int(open_ones.sum())))
         if chosen.shape[0] == 0:
             break
