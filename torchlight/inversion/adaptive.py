@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.errors import ConfigError, ShapeError
@@ -91,7 +91,7 @@ class AdaptiveSolution:
 
     Attributes:
         solution: coefficients of the complete basis, 0 for functions not in use. kkt_residual and gap refer to the
-            program of the functions in use: S c >= 0.
+            program of the functions in use: S c >= 0; steps to the last of its many fits.
         refinement: functions in use, fates of supports.
     """
 
@@ -169,9 +169,7 @@ def coefficients(tree: Quadtree, grown: Grown) -> Float[Tensor, " coeffs"]:
 
 def empty_refinement(tree: Quadtree, status: Int[Tensor, "photos channels"]) -> Refinement:
     """Returns what holds for items that fail: no function in use."""
-    kept: Bool[Tensor, "photos channels coeffs"] = torch.zeros(
-        *status.shape, 3 * tree.resolution**2, dtype=torch.bool, device=status.device
-    )
+    kept = torch.zeros(*status.shape, 3 * tree.resolution**2, dtype=torch.bool, device=status.device)
     fate = torch.full((*status.shape, tree.supports.shape[0]), int(Fate.UNSOLVED), device=status.device)
     return Refinement(kept, fate, torch.zeros_like(status))
 

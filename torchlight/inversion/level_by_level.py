@@ -42,7 +42,7 @@ class LevelByLevel:
         threshold: least squared coefficient, as a share of the sum of all squared coefficients.
     """
 
-    threshold: float = 1e-4
+    threshold: float = 1e-5
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.threshold < 1.0:
