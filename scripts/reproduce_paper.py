@@ -31,12 +31,13 @@ from torchlight.errors import TorchlightError
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.footprints import visible_samples
 from torchlight.geometry.receiver import Receiver
-from torchlight.inversion.linear import solve_light
+from torchlight.inversion.adaptive import AdaptiveHaar
+from torchlight.inversion.level_by_level import LevelByLevel
 from torchlight.io.atomic import write_atomically
 from torchlight.io.lights import read_light
 from torchlight.light.bases import Basis, SphericalHarmonics, Texels
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import precompute
+from torchlight.pipeline import find_light, precompute
 from torchlight.relighting import irradiance
 from torchlight.solvers import NNLS, NonnegativeSynthesis, Ridge, Solver
 from torchlight.synthetic import block_scene, block_values, eight_bit, expose, pixel_rays
@@ -60,10 +61,14 @@ class Method:
 
     name: str
     basis: Basis
-    solver: Solver
+    solver: Solver | AdaptiveHaar
 
 
+GAIN = AdaptiveHaar()
+PAPER = AdaptiveHaar(rule=LevelByLevel())
 METHODS = (
+    Method("Haar, adaptive, by gain", GAIN.basis, GAIN),
+    Method("Haar, adaptive, the paper's rule", PAPER.basis, PAPER),
     Method("texels 16x16x5, non-negative", Texels(16), NNLS()),
     Method("SH, 25 coefficients", SphericalHarmonics(4, 32), Ridge()),
     Method("SH, 36 coefficients", SphericalHarmonics(5, 32), Ridge()),
@@ -74,10 +79,15 @@ METHODS = (
 
 @dataclass(frozen=True)
 class Row:
-    """One measurement: RMS of 255 on the photograph and on the other poses, and the seconds of the solve."""
+    """One measurement: RMS of 255 on the photograph and on the other poses, and the seconds of the solve.
+
+    functions: most per channel of those in use; regions: the same of squares of constant light, if any.
+    """
 
     probe: str
     method: str
+    functions: int
+    regions: int | None
     fit: float
     held_out_mean: float
     held_out_worst: float
@@ -150,7 +160,7 @@ def measure_method(
     received = Observation(photo.samples * torch.pi, photo.weights)
     transfer = transfers[PHOTOGRAPHED, resolution]
     start = time.perf_counter()
-    solution = solve_light(transfer, method.basis, received, method.solver)
+    solution, refinement = find_light(transfer, method.basis, received, method.solver)
     seconds = time.perf_counter() - start
     solution.check()
 
@@ -163,18 +173,21 @@ def measure_method(
     ]
     fit = metrics.rms_255(predict(PHOTOGRAPHED), photo.samples, photo.weights).item()
     mean = sum(held_out) / len(held_out)
-    return Row(probe, method.name, fit, mean, max(held_out), seconds, solution.kkt_residual.max().item())
+    functions = method.basis.size if refinement is None else int(refinement.functions.max())
+    regions = None if refinement is None else int(refinement.regions.max())
+    kkt = solution.kkt_residual.max().item()
+    return Row(probe, method.name, functions, regions, fit, mean, max(held_out), seconds, kkt)
 
 
 def markdown(rows: list[Row]) -> str:
     """Returns the rows as a Markdown table."""
     lines = [
-        "| probe | method | fit | other poses, mean | worst | solve, s (RGB) | KKT residual |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| probe | method | functions | regions | fit | other poses, mean | worst | solve, s (RGB) | KKT residual |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     lines += [
-        f"| {row.probe} | {row.method} | {row.fit:.2f} | {row.held_out_mean:.2f} | {row.held_out_worst:.2f} "
-        f"| {row.solve_seconds:.2f} | {row.kkt_residual:.0e} |"
+        f"| {row.probe} | {row.method} | {row.functions} | {row.regions or ''} | {row.fit:.2f} "
+        f"| {row.held_out_mean:.2f} | {row.held_out_worst:.2f} | {row.solve_seconds:.2f} | {row.kkt_residual:.0e} |"
         for row in rows
     ]
     return "\n".join(lines) + "\n"

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from torchlight.camera import Camera as Camera
     from torchlight.geometry.receiver import Receiver as Receiver
     from torchlight.geometry.scene import Scene as Scene
+    from torchlight.inversion.adaptive import AdaptiveHaar as AdaptiveHaar
+    from torchlight.inversion.gain import ProjectedGain as ProjectedGain
+    from torchlight.inversion.level_by_level import LevelByLevel as LevelByLevel
     from torchlight.inversion.linear import solve as solve
     from torchlight.io.images import read_photo as read_photo
     from torchlight.io.lights import read_light as read_light
@@ -43,15 +46,18 @@ if TYPE_CHECKING:
 
 # name -> module: imported at first use, because importing torch takes a second that `--help` need not spend
 _HOME = {
+    "AdaptiveHaar": "inversion.adaptive",
     "Camera": "camera",
     "EnvironmentMap": "light.environment",
     "Estimate": "pipeline",
     "HaarCubemap": "light.bases",
+    "LevelByLevel": "inversion.level_by_level",
     "LinearPhoto": "photo.observation",
     "NNLS": "solvers",
     "NonnegativeSynthesis": "solvers",
     "Observation": "photo.observation",
     "ProjectedAdam": "solvers",
+    "ProjectedGain": "inversion.gain",
     "Receiver": "geometry.receiver",
     "Ridge": "solvers",
     "Scene": "geometry.scene",
@@ -73,14 +79,17 @@ _HOME = {
 
 __all__ = [
     "NNLS",
+    "AdaptiveHaar",
     "Camera",
     "EnvironmentMap",
     "Estimate",
     "HaarCubemap",
+    "LevelByLevel",
     "LinearPhoto",
     "NonnegativeSynthesis",
     "Observation",
     "ProjectedAdam",
+    "ProjectedGain",
     "Receiver",
     "Ridge",
     "Scene",

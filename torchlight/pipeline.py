@@ -23,7 +23,9 @@ from torchlight.geometry.footprints import footprint_points, subpoints_for, visi
 from torchlight.geometry.receiver import sample_centers
 from torchlight.geometry.scene import Scene
 from torchlight.geometry.visibility import backend
+from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
 from torchlight.inversion.linear import default_solver, solve_light
+from torchlight.inversion.refinement import Refinement
 from torchlight.io import cache
 from torchlight.io.images import Photo
 from torchlight.light.bases import Basis, SphericalHarmonics, Texels
@@ -38,7 +40,7 @@ from torchlight.solvers import Solution, Solver
 from torchlight.transfer import ALGORITHM, Transfer, refine, transport
 
 DIRECTIONS_PER_EDGE = 192  # see docs/convergence.md
-REFINED_PER_EDGE = 512  # where a texel is partly hidden: takes the error from 0.3 to below 0.1 of 255
+REFINED_PER_EDGE = 768  # where a texel is partly hidden: takes the error from 0.3 to below 0.1 of 255
 DEFAULT_BASIS = Texels(16)
 Progress = Callable[[int, int], None]
 
@@ -54,6 +56,7 @@ class Estimate:
         observation: what the photographs showed, after the reference was divided out.
         predicted: what the receiver shows under the light, same units as the observation.
         peaks: directions of the strongest sources.
+        refinement: functions in use and why no others, of the adaptive method; else None.
     """
 
     light: EnvironmentMap
@@ -62,6 +65,7 @@ class Estimate:
     observation: Observation
     predicted: Float[Tensor, "*batch 3 points"]
     peaks: Peaks
+    refinement: Refinement | None = None
 
     @property
     def rms_255(self) -> Float[Tensor, "*batch"]:
@@ -73,7 +77,7 @@ def estimate(
     photos: LinearPhoto | Float[Tensor, "*batch 3 height width"],
     scene: Scene,
     basis: Basis = DEFAULT_BASIS,
-    solver: Solver | None = None,
+    solver: Solver | AdaptiveHaar | None = None,
     transfer: Transfer | None = None,
 ) -> Estimate:
     """Returns the light that explains linear photographs of a scene, all of them and all channels at once.
@@ -82,7 +86,7 @@ def estimate(
         photos: linear photographs (`linearize`), or rectified receiver images where the scene has no camera.
         scene: occluders, receiver, camera.
         basis: what light is made of.
-        solver: None = exact and non-negative.
+        solver: None = exact and non-negative; `AdaptiveHaar` goes with its own `basis`.
         transfer: from `precompute`; computed when absent.
     """
     linear = photos if isinstance(photos, LinearPhoto) else linear_photo(photos)
@@ -91,15 +95,34 @@ def estimate(
     return explain(observation, scene, transfer, basis, default_solver(basis) if solver is None else solver)
 
 
-def explain(observation: Observation, scene: Scene, transfer: Transfer, basis: Basis, solver: Solver) -> Estimate:
+def explain(
+    observation: Observation, scene: Scene, transfer: Transfer, basis: Basis, solver: Solver | AdaptiveHaar
+) -> Estimate:
     """Returns the light that explains observations of one scene, with its prediction."""
     transfer = transfer.to(device=observation.samples.device)
     factor = albedo_over_pi(scene.receiver, observation.samples)
     received = replace(observation, samples=observation.samples / factor)
-    solution = solve_light(transfer, basis, received, solver)
+    solution, refinement = find_light(transfer, basis, received, solver)
     predicted = factor * irradiance(transfer.project(basis), solution.coefficients).to(factor)
     light = synthesize(basis, solution.coefficients)
-    return Estimate(light, solution, basis, observation, predicted, find_peaks(basis, solution, light))
+    peaks = find_peaks(basis, solution, light)
+    return Estimate(light, solution, basis, observation, predicted, peaks, refinement)
+
+
+def find_light(
+    transfer: Transfer, basis: Basis, observation: Observation, solver: Solver | AdaptiveHaar
+) -> tuple[Solution, Refinement | None]:
+    """Returns the coefficients of the light, and what the adaptive method decided on the way.
+
+    Raises:
+        ConfigError: the basis is not that of the adaptive method.
+    """
+    if not isinstance(solver, AdaptiveHaar):
+        return solve_light(transfer, basis, observation, solver), None
+    if basis != solver.basis:
+        raise ConfigError(f"AdaptiveHaar works on {solver.basis}, got the basis {basis}; pass its attribute `basis`")
+    found = solve_adaptive(transfer, observation, solver)
+    return found.solution, found.refinement
 
 
 def linearize(photo: Photo, scene: Scene) -> LinearPhoto:
@@ -205,7 +228,7 @@ def precompute(
         scene: occluders and receiver; camera, mask, reference and albedo play no part.
         resolution: texels along a cube map face's edge.
         subsamples: directions along a texel's edge; None = as many as make 192 along a face's edge, at least 2, and
-            512 for the texels that are partly hidden from a sample.
+            768 for the texels that are partly hidden from a sample.
         use_cache: False = neither read nor write the cache.
         progress: called with (work done, work).
     """

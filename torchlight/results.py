@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchlight import figures, metrics
 from torchlight.geometry.scene import Scene
+from torchlight.inversion.refinement import Refinement
 from torchlight.io.atomic import partial_folder, write_atomically
 from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
@@ -46,7 +47,7 @@ class Provenance:
         scene_sha256: of the scene file.
         photo_sha256: of the photograph.
         photo: its path as given.
-        method: texels, haar or sh.
+        method: texels, haar, adaptive or sh.
         solver: nnls, ridge or adam.
         seconds: by stage.
     """
@@ -70,7 +71,13 @@ def select(estimate: Estimate, item: int) -> Estimate:
         observation=Observation(estimate.observation.samples[item], estimate.observation.weights[item]),
         predicted=estimate.predicted[item],
         peaks=Peaks(estimate.peaks.directions[item], estimate.peaks.shares[item]),
+        refinement=None if estimate.refinement is None else of_photo(estimate.refinement, item),
     )
+
+
+def of_photo(refinement: Refinement, item: int) -> Refinement:
+    """Returns the decisions for one photograph of a batch."""
+    return Refinement(refinement.kept[item], refinement.fate[item], refinement.regions[item])
 
 
 def write_result(
@@ -102,7 +109,10 @@ def write_result(
 
 
 def tensors(estimate: Estimate) -> dict[str, Tensor]:
-    """Returns what estimate.safetensors holds: coefficients, status and the observation they explain."""
+    """Returns what estimate.safetensors holds: coefficients, status and the observation they explain.
+
+    Of the adaptive method also `kept` (functions in use) and `fate` (of every support).
+    """
     named = {
         "coefficients": estimate.solution.coefficients,
         "status": estimate.solution.status,
@@ -110,6 +120,8 @@ def tensors(estimate: Estimate) -> dict[str, Tensor]:
         "weights": estimate.observation.weights,
         "predicted": estimate.predicted,
     }
+    if estimate.refinement is not None:
+        named |= {"kept": estimate.refinement.kept, "fate": estimate.refinement.fate}
     return {name: tensor.detach().cpu().contiguous() for name, tensor in named.items()}
 
 
@@ -129,6 +141,7 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "solver": provenance.solver,
         "coefficients": estimate.basis.size,
         "nonzero": ((coefficients.abs() > ZERO * largest).sum(dim=-1)).tolist(),
+        **size_of_light(estimate.refinement),
         "nonnegative": estimate.light.nonnegative,
         "status": [Status(value).name.lower() for value in solution.status.tolist()],
         "steps": solution.steps.tolist(),
@@ -146,6 +159,13 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "scene_sha256": provenance.scene_sha256,
         "versions": versions(),
     }
+
+
+def size_of_light(refinement: Refinement | None) -> dict[str, Any]:
+    """Returns functions in use and regions of constant light per channel; None where the basis is used as a whole."""
+    if refinement is None:
+        return {"functions": None, "regions": None}
+    return {"functions": refinement.functions.tolist(), "regions": refinement.regions.tolist()}
 
 
 def visibility(observation: Observation) -> dict[str, Any]:

@@ -28,12 +28,20 @@ class Estimate:
     """Photographs of that scene: PNG, JPEG, TIFF, EXR or HDR."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder that receives one folder per photograph."""
-    method: Annotated[Literal["texels", "haar", "sh"], arg(aliases=["--basis"])] = "texels"
-    """What light is made of: cube map texels, Haar wavelets on them, or spherical harmonics."""
+    method: Annotated[Literal["texels", "haar", "adaptive", "sh"], arg(aliases=["--basis"])] = "texels"
+    """What light is made of: cube map texels, Haar wavelets on them (all, or few chosen by the photograph), or
+    spherical harmonics."""
     resolution: int | None = None
-    """Texels along a cube map face's edge, a power of two up to 128. Default: 16; 32 under spherical harmonics."""
+    """Texels along a cube map face's edge, a power of two up to 128, under --method adaptive up to 32.
+    Default: 16; 32 under spherical harmonics."""
     degree: int = 5
     """Largest degree of spherical harmonics, (degree + 1)^2 coefficients; with --method sh."""
+    functions: int = 120
+    """Most Haar functions per channel; with --method adaptive."""
+    rule: Literal["gain", "paper"] = "gain"
+    """gain: best first, by what a function explains. paper: level by level, as published; with --method adaptive."""
+    noise: float = 0.0016
+    """Standard deviation of the noise per sample, as a share of the brightest sample; with --method adaptive."""
     solver: Literal["nnls", "ridge", "adam"] = "nnls"
     """nnls: exact, radiance nowhere negative. ridge: least squares, unconstrained. adam: projected gradients."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -88,7 +96,7 @@ class Render:
     """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
     exposure: float = 1.0
     """Factor applied before writing."""
-    rays: int = 65536
+    rays: int = 16384
     """Directions the light is cut into."""
     overwrite: bool = False
     """Replace an existing picture."""
@@ -108,7 +116,7 @@ class Evaluate:
     """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
     fit_scale: bool = False
     """Fit one factor per channel first, and print the factors."""
-    rays: int = 65536
+    rays: int = 131072
     """Directions the light is cut into."""
 
 

@@ -18,6 +18,7 @@ from torchlight.cli import NOTHING_STARTED, arguments, fail
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError, TorchlightError
 from torchlight.geometry.scene import Scene
+from torchlight.inversion.adaptive import AdaptiveHaar, named_rule
 from torchlight.inversion.linear import named_solver
 from torchlight.io.atomic import check_writable
 from torchlight.io.files import read_bytes, sha256_of
@@ -56,7 +57,7 @@ class Plan:
     scene: Scene
     scene_sha256: str
     basis: Basis
-    solver: Solver
+    solver: Solver | AdaptiveHaar
     device: torch.device
     visible: Bool[Tensor, " points"]
     transfer: Transfer
@@ -117,7 +118,7 @@ def prepare(command: arguments.Estimate) -> Plan:
     """Returns what all photographs share: the scene, the settings, the visible samples and the transport."""
     seconds: dict[str, float] = {}
     basis = named_basis(command)
-    solver = named_solver(command.solver, basis)
+    solver = adaptive_method(command) if command.method == "adaptive" else named_solver(command.solver, basis)
     device = named_device(command.device)
     with timed(seconds, "scene"):
         scene = load_scene(command.scene)
@@ -127,6 +128,18 @@ def prepare(command: arguments.Estimate) -> Plan:
         transfer = precompute(scene, basis.resolution, use_cache=not command.no_cache, progress=progress)
     digest = sha256_of(read_bytes(command.scene))
     return Plan(command, scene, digest, basis, solver, device, visible, transfer.to(device), seconds)
+
+
+def adaptive_method(command: arguments.Estimate) -> AdaptiveHaar:
+    """Returns the adaptive method that the options describe.
+
+    Raises:
+        ConfigError: a setting is out of range, or another solver than "nnls" is asked for.
+    """
+    if command.solver != "nnls":
+        raise ConfigError(f"--solver {command.solver}: --method adaptive has a solver of its own; leave --solver away")
+    resolution = DEFAULT_RESOLUTION if command.resolution is None else command.resolution
+    return AdaptiveHaar(resolution, command.functions, command.noise, named_rule(command.rule))
 
 
 def named_basis(command: arguments.Estimate) -> Basis:
