@@ -10,10 +10,14 @@ import pytest
 import torch
 from safetensors.torch import load_file
 from torch.testing import assert_close
+from workbench import SUN, degrees_between, png, scene_file
 
 from torchlight import AdaptiveHaar
 from torchlight.cli import main
 from torchlight.errors import ConfigError
+from torchlight.inversion.quadtree import quadtree
+from torchlight.inversion.refinement import Fate
+from torchlight.io.cache import entries
 from torchlight.io.images import read_photo
 from torchlight.io.scene_file import load_scene
 from torchlight.light.bases import HaarCubemap
@@ -67,6 +71,8 @@ def test_results_say_how_many_functions(folder: Path, number: int) -> None:
     assert (stored["coefficients"][~stored["kept"]] == 0).all()
     assert result["nonnegative"] is True
     assert result["rms_255"] < 1.0
+    assert result["fates"] is not None
+    assert (folder / "out" / str(number) / "refinement.png").is_file()
 
 
 def test_the_command_line_does_what_python_does(folder: Path) -> None:
@@ -95,7 +101,8 @@ def test_the_rule_of_the_paper_is_an_option(folder: Path, tmp_path: Path, monkey
         (("--solver", "ridge"), "--method adaptive has a solver of its own"),
         (("--functions", "5"), "at least 9"),
         (("--noise", "0"), "noise"),
-        (("--resolution", "64"), "16 is usual"),
+        (("--resolution", "1024"), "from 2 to 512"),
+        (("--resolution", "32", "--rule", "paper"), "at most 16, got 32"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(
@@ -109,5 +116,40 @@ def test_what_cannot_be_is_refused_in_one_line(
 
 def test_another_basis_is_refused(folder: Path) -> None:
     scene = load_scene(folder / "scene.yaml")
-    with pytest.raises(ConfigError, match="pass its attribute `basis`"):
+    with pytest.raises(ConfigError, match="leave the basis away"):
         estimate(torch.ones(3, 18, 24), scene, HaarCubemap(8), AdaptiveHaar(4), precompute(scene, 8, use_cache=False))
+
+
+def test_it_is_what_everyone_gets_who_names_no_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At most 450 functions at 128 texels, for a sun; the same from the command line and from Python."""
+    monkeypatch.setenv("TORCHLIGHT_CACHE", str(tmp_path / "cache"))
+    file, photo = scene_file(tmp_path), png(tmp_path / "sun.png")
+    call(["estimate", str(file), str(photo), "--out", str(tmp_path / "out"), "--device", "cpu"], 0)
+    result = json.loads((tmp_path / "out/sun/result.json").read_text())
+    assert (result["method"], result["resolution"], result["coefficients"]) == ("adaptive", 128, 3 * 128**2)
+    assert result["status"] == ["converged"] * 3
+    assert result["nonnegative"] is True
+    assert all(9 < count <= 450 for count in result["functions"])
+    assert result["rms_255"] < 1.0
+    assert degrees_between(result["peak_direction"], SUN) < 3
+    stored, tree = load_file(tmp_path / "out/sun/estimate.safetensors"), quadtree(128)
+    divided = tree.level[tree.supports][(stored["fate"] == Fate.RESOLVED).any(dim=0)]
+    assert (divided >= 4).any()  # finer than any texel of the dense transport
+    scene = load_scene(file)
+    found = estimate(linearize(read_photo(photo), scene), scene, solver=AdaptiveHaar(noise=0.0016))
+    assert found.refinement is not None
+    assert torch.equal(found.refinement.kept, stored["kept"])
+    assert_close(found.solution.coefficients, stored["coefficients"], rtol=1e-4, atol=1e-4)
+
+
+def test_the_second_call_finds_the_dense_transport_in_the_cache(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TORCHLIGHT_CACHE", str(tmp_path / "cache"))
+    words = ["estimate", str(folder / "scene.yaml"), str(folder / "0.png"), "--resolution", "32", "--device", "cpu"]
+    call([*words, "--out", str(tmp_path / "one")], 0)
+    assert len(entries()) == 1
+    monkeypatch.setattr("torchlight.pipeline.transport", lambda *arguments: pytest.fail("cast again"))
+    call([*words, "--out", str(tmp_path / "two")], 0)
+    one, two = (load_file(tmp_path / name / "0" / "estimate.safetensors")["coefficients"] for name in ("one", "two"))
+    assert torch.equal(one, two)

@@ -51,7 +51,9 @@ def one_cache(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def estimate(scene: Path, *photos: Path, out: Path, options: tuple[object, ...] = ()) -> Ran:
-    return run("estimate", scene, *photos, "--out", out, "--resolution", 4, *options)
+    """Texels unless the options say otherwise: what has no choices to make; test_cli_adaptive has the default."""
+    method = () if {"--method", "--basis"} & set(options) else ("--method", "texels")
+    return run("estimate", scene, *photos, "--out", out, "--resolution", 4, *method, *options)
 
 
 def strict_json(path: Path) -> dict[str, Any]:
@@ -184,7 +186,7 @@ def test_no_other_keys_and_times_by_stage(made: Made) -> None:
         *("photo", "rms_255", "rms_relative", "visible", "points", "visible_share", "method", "resolution", "solver"),
         *("coefficients", "nonzero", "nonnegative", "status", "steps", "kkt_residual", "gap", "peak_direction"),
         *("peak_share", "peaks", "reference", "units", "light_is", "length_unit", "convention", "photo_sha256"),
-        *("scene_sha256", "versions", "preview_clipped_flux", "functions", "regions"),
+        *("scene_sha256", "versions", "preview_clipped_flux", "functions", "regions", "fates"),
     }
     seconds = strict_json(made.folder / "timing.json")["seconds"]
     assert list(seconds) == ["scene", "transport", "photograph", "solve"]
@@ -592,7 +594,9 @@ def test_a_transport_beyond_the_budget_is_refused_before_any_ray(
 ) -> None:
     monkeypatch.setattr("torchlight.cli.estimate.visible_part", full_disk)
     scene = scene_file(tmp_path, CHANGED("[16, 16]", "[1000, 1000]"))
-    ran = run("estimate", scene, png(tmp_path / "p.png"), "--out", tmp_path / "out", "--resolution", 32)
+    ran = run(
+        "estimate", scene, png(tmp_path / "p.png"), "--out", tmp_path / "out", "--method", "texels", "--resolution", 32
+    )
     assert ran.code == 2
     assert "receiver.samples" in ran.line
     assert not (tmp_path / "out").exists()
@@ -604,7 +608,8 @@ def test_a_transport_beyond_the_budget_is_refused_before_any_ray(
         (("--resolution", 3), "resolution"),
         (("--resolution", 0), "resolution"),
         (("--resolution", -1), "resolution"),
-        (("--resolution", 256), "resolution"),
+        (("--resolution", 1024), "resolution"),
+        (("--method", "adaptive", "--resolution", 1), "resolution"),
         (("--method", "sh", "--resolution", 0), "resolution"),
         (("--method", "haar", "--resolution", 1), "resolution"),
         (("--method", "sh", "--degree", -1), "degree"),

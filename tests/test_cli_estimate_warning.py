@@ -25,9 +25,10 @@ receiver: {size: [4, 4], samples: [16, 16]}
             "degree 6 asks for bandwidth 7",
         ),
         (["--method", "sh", "--degree", "0", "--solver", "ridge", "--resolution", "8"], None),
-        (["--resolution", "16"], "768 coefficients from "),
-        (["--resolution", "8", "--solver", "ridge"], "192 coefficients, but about "),
-        (["--resolution", "4"], None),
+        (["--method", "texels", "--resolution", "16"], "768 coefficients from "),
+        (["--method", "texels", "--resolution", "8", "--solver", "ridge"], "192 coefficients, but about "),
+        (["--method", "texels", "--resolution", "4"], None),
+        (["--resolution", "16"], None),  # the adaptive method takes no more than the shadows determine,
     ],
 )
 def test_the_warning(

@@ -66,7 +66,7 @@ def test_bad_places_and_lights_are_refused_before_the_work(tmp_path: Path, monke
     def never(*arguments: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(demo, "precompute", never)
+    monkeypatch.setattr(demo, "columns_for", never)
     (tmp_path / "file").write_text("")
     with pytest.raises(FormatError, match="file"):
         demo.run_demo(tmp_path / "file", sun_and_window(8))

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from itertools import islice
 
 import pytest
+import torch
 
-from torchlight.geometry.threads import ordered_map, thread_count
+from torchlight.geometry.threads import ordered_map, single_threaded, thread_count
 
 
 def test_results_come_in_the_items_order() -> None:
@@ -52,3 +53,42 @@ def test_an_error_reaches_the_caller_and_ends_the_work() -> None:
     while started.acquire(blocking=False):
         count += 1
     assert count <= 4 + 2 * thread_count()
+
+
+def test_as_many_threads_as_torch_may_use_and_processors_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: set(range(6)), raising=False)
+    for allowed, expected in ((1, 1), (4, 4), (64, 6)):
+        monkeypatch.setattr(torch, "get_num_threads", lambda allowed=allowed: allowed)
+        assert thread_count() == expected
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_no_more_threads_at_once_than_asked_for(count: int) -> None:
+    running, most, lock = 0, 0, threading.Lock()
+
+    def task(item: int) -> None:
+        nonlocal running, most
+        with lock:
+            running += 1
+            most = max(most, running)
+        time.sleep(0.002)
+        with lock:
+            running -= 1
+
+    assert len(list(ordered_map(task, range(20), count))) == 20
+    assert most == count
+
+
+def test_torch_works_on_one_thread_within_and_as_before_afterwards() -> None:
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        with single_threaded():
+            assert torch.get_num_threads() == 1
+            assert list(ordered_map(lambda item: torch.get_num_threads(), range(3), 2)) == [1, 1, 1]
+        assert torch.get_num_threads() == 2
+        with pytest.raises(ValueError, match="inside"), single_threaded():
+            raise ValueError("inside")
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)

@@ -9,15 +9,23 @@ from scipy.optimize import nnls
 from torch import Tensor
 from torch.testing import assert_close
 
-from torchlight.inversion.adaptive import make_item
+from torchlight.errors import ConfigError
 from torchlight.inversion.leaf_program import Item, certificate, fit, leaf_wavelets, scene_columns, texels_of
+from torchlight.inversion.nodes import NodeColumns, WeightedNodes
 from torchlight.inversion.quadtree import Quadtree, indicators, quadtree
 from torchlight.inversion.refinement import constants, needed, trios
 from torchlight.light import haar
 from torchlight.solvers import LeastSquares, NonnegativeSynthesis
+from torchlight.transfer import Transfer
 
 RESOLUTION = 8
 TEXELS = 3 * RESOLUTION**2
+
+
+def make_item(matrix: Tensor, root: Tensor, samples: Tensor) -> Item:
+    columns = scene_columns(WeightedNodes(NodeColumns(Transfer(matrix, RESOLUTION), RESOLUTION), root))
+    target = samples * root
+    return Item(columns, target, target @ columns.nodes, 1.0)
 
 
 def random_item(seed: int, points: int = 300) -> tuple[Tensor, Tensor, Item]:
@@ -27,7 +35,7 @@ def random_item(seed: int, points: int = 300) -> tuple[Tensor, Tensor, Item]:
     light = torch.exp(2 * torch.randn(TEXELS, generator=generator, dtype=torch.float64))
     samples = matrix @ light * (1 + 0.02 * torch.randn(points, generator=generator, dtype=torch.float64))
     root = torch.randint(1, 4, (points,), generator=generator).double().sqrt()
-    return matrix * root[:, None], samples * root, make_item(scene_columns(quadtree(8), matrix, root), samples, 1.0)
+    return matrix * root[:, None], samples * root, make_item(matrix, root, samples)
 
 
 def random_tree(tree: Quadtree, divisions: int, seed: int) -> Tensor:
@@ -114,9 +122,16 @@ def test_a_column_that_nothing_sees_gets_no_light() -> None:
     tree = quadtree(RESOLUTION)
     matrix = torch.rand(50, TEXELS, generator=generator, dtype=torch.float64)
     matrix[:, indicators(tree, tree.roots[:1])[0] > 0] = 0.0
-    item = make_item(scene_columns(tree, matrix, torch.ones(50, dtype=torch.float64)), matrix.sum(dim=1), 1.0)
+    item = make_item(matrix, torch.ones(50, dtype=torch.float64), matrix.sum(dim=1))
     divided = torch.zeros_like(tree.supports, dtype=torch.bool)
     fitted = fit(item, divided, constants(tree), torch.ones(TEXELS, dtype=torch.float64))
     expected = torch.ones(9, dtype=torch.float64).index_fill(0, torch.tensor([0]), 0.0)
     assert_close(fitted.values, expected, rtol=1e-9, atol=1e-9)
     assert np.isfinite(fitted.kkt_residual)
+
+
+def test_a_tree_deeper_than_the_dense_transport_is_refused() -> None:
+    transfer = Transfer(torch.ones(5, TEXELS, dtype=torch.float64), RESOLUTION)
+    deeper = NodeColumns(transfer, 32, lambda squares, cells: torch.ones(len(squares), 5))
+    with pytest.raises(ConfigError, match="at most 16, got 32"):
+        scene_columns(WeightedNodes(deeper, torch.ones(5, dtype=torch.float64)))

@@ -7,8 +7,8 @@ import torch
 from torch.testing import assert_close
 
 from torchlight.errors import ConfigError
-from torchlight.inversion.quadtree import indicators, pyramid, quadtree, spread
-from torchlight.light import haar
+from torchlight.inversion.quadtree import indicators, pyramid, quadtree, spread, squares, texel_nodes, within
+from torchlight.light import cubemap, haar
 
 
 @pytest.mark.parametrize("resolution", [2, 4, 8])
@@ -68,3 +68,52 @@ def test_sizes() -> None:
     assert (tree.size, tree.supports.shape[0], tree.roots.shape[0]) == (1021, 253, 9)
     with pytest.raises(ConfigError, match="power of two"):
         quadtree(12)
+
+
+@pytest.mark.parametrize("resolution", [2, 4, 8, 16])
+def test_texel_nodes_are_the_nodes_of_single_texels_in_their_order(resolution: int) -> None:
+    tree = quadtree(resolution)
+    nodes = texel_nodes(tree)
+    assert torch.equal(indicators(tree, nodes), torch.eye(3 * resolution**2, dtype=torch.float64))
+    assert (tree.support_of[nodes] < 0).all()
+
+
+@pytest.mark.parametrize("resolution", [2, 4, 16])
+def test_squares_of_texels_are_where_the_cube_map_has_them(resolution: int) -> None:
+    """As (face, level, row, column), and as rectangles on their faces."""
+    tree = quadtree(resolution)
+    found = squares(tree, texel_nodes(tree))
+    index = cubemap.visible_texels(resolution)
+    depth = torch.full_like(index, resolution.bit_length() - 1)
+    row, column = index // resolution % resolution, index % resolution
+    assert torch.equal(found, torch.stack([index // resolution**2, depth, row, column], dim=-1))
+    assert_same_cells(cubemap.square_cells(found), cubemap.texel_cells(resolution))
+
+
+def assert_same_cells(found: cubemap.Cells, texels: cubemap.Cells) -> None:
+    for name in ("face", "left", "right", "bottom", "top"):
+        assert_close(getattr(found, name), getattr(texels, name)[:, 0], rtol=0, atol=1e-15)
+
+
+def test_squares_enclose_exactly_the_texels_of_their_node() -> None:
+    """A texel whose middle lies in the rectangle of a node belongs to it, and no other."""
+    tree = quadtree(8)
+    places = squares(tree, torch.arange(tree.size))
+    cells, texels = cubemap.square_cells(places), cubemap.texel_cells(8)
+    u, v = (texels.left + texels.right)[:, 0] / 2, (texels.bottom + texels.top)[:, 0] / 2
+    inside = texels.face[:, 0] == cells.face[:, None]
+    inside &= (cells.left[:, None] < u) & (u < cells.right[:, None])
+    inside &= (cells.bottom[:, None] < v) & (v < cells.top[:, None])
+    assert torch.equal(inside.double(), indicators(tree, torch.arange(tree.size)))
+    roots = places[tree.roots].tolist()
+    assert roots == [[face, 1, 0, column] for face in range(4) for column in (0, 1)] + [[4, 0, 0, 0]]
+
+
+@pytest.mark.parametrize(("coarse", "fine"), [(2, 2), (2, 4), (4, 16), (8, 512)])
+def test_a_square_of_a_coarse_tree_is_the_same_in_a_finer_one(coarse: int, fine: int) -> None:
+    small, large = quadtree(coarse), quadtree(fine)
+    nodes = within(small, large)
+    everything = torch.arange(small.size)
+    assert torch.equal(squares(small, everything), squares(large, nodes))
+    assert torch.equal(nodes[small.children], large.children[large.support_of[nodes[small.supports]]])
+    assert len(nodes.unique()) == small.size

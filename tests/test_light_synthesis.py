@@ -23,11 +23,13 @@ from torchlight.light.synthesis import harmonics_to_latlong, map_height, synthes
         (Texels(64), 512),
         (Texels(128), 1024),
         (HaarCubemap(128), 1024),
+        (HaarCubemap(256), 1024),
+        (HaarCubemap(512), 2048),
         (SphericalHarmonics(5, 32), 512),
         (SphericalHarmonics(2, 128), 1024),
     ],
 )
-def test_the_map_is_at_least_512_or_8_texels_wide(basis: Basis, width: int) -> None:
+def test_the_map_is_512_wide_at_least_and_8_pixels_per_texel_then_4(basis: Basis, width: int) -> None:
     assert 2 * map_height(basis) == width
 
 

@@ -11,23 +11,47 @@ import pytest
 import torch
 from torch import Tensor
 from torch.testing import assert_close
+from workbench import SUN, degrees_between
 
 from torchlight import pipeline
 from torchlight.camera import Camera
-from torchlight.errors import CalibrationError, ConfigError, SceneError, TorchlightError, TorchlightWarning
+from torchlight.errors import (
+    CalibrationError,
+    ConfigError,
+    SceneError,
+    ShapeError,
+    TorchlightError,
+    TorchlightWarning,
+)
 from torchlight.geometry import primitives
 from torchlight.geometry.analytic_shadow import Block, block_irradiance
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
 from torchlight.geometry.transforms import transform
+from torchlight.inversion.adaptive import AdaptiveHaar
+from torchlight.inversion.nodes import NodeColumns
+from torchlight.inversion.quadtree import pyramid, quadtree, texel_nodes, within
 from torchlight.io import cache
 from torchlight.io.images import Photo
 from torchlight.light import cubemap
 from torchlight.light.bases import HaarCubemap, SphericalHarmonics, Texels
 from torchlight.light.peaks import peak_direction
+from torchlight.light.procedural import sun_and_window
 from torchlight.photo.observation import LinearPhoto, linear_photo
-from torchlight.pipeline import check_lit, estimate, linearize, observe, precompute, transport_key, visible_part
-from torchlight.solvers import Ridge, Status
+from torchlight.pipeline import (
+    check_lit,
+    columns_for,
+    deepened,
+    estimate,
+    linearize,
+    observe,
+    precompute,
+    resolve_method,
+    transport_key,
+    visible_part,
+)
+from torchlight.solvers import NNLS, Ridge, Status
+from torchlight.synthetic import block_values, pixel_rays, receiver_image
 from torchlight.transfer import Transfer, transport
 
 BLOCK = Block((1.0, 0.6, 1.2), 20.0, (0.3, -0.2))
@@ -134,6 +158,116 @@ def test_a_smooth_fall_off_does_not_turn_into_light(transfer: Transfer) -> None:
     plain = estimate(darkened, block_scene(), BASIS, transfer=transfer).rms_255
     smooth = estimate(darkened, replace(block_scene(), reference="smooth"), BASIS, transfer=transfer).rms_255
     assert smooth < 0.3 * plain
+
+
+# --- the default: few Haar functions, chosen by the photograph -----------------------------------------------------
+
+
+def test_without_a_basis_the_photograph_chooses_its_functions() -> None:
+    """Truth by the analytic shadow; the light is explained, found again and nowhere negative."""
+    texels = random_texels(1)
+    method = AdaptiveHaar()
+    columns = columns_for(block_scene(), method.basis, method, use_cache=False)
+    assert isinstance(columns, NodeColumns)
+    assert (columns.coarse.resolution, columns.tree.resolution) == (16, 128)
+    found = estimate(photograph(texels), block_scene(), transfer=columns)
+    assert found.basis == HaarCubemap(128)
+    assert found.refinement is not None
+    assert (found.refinement.functions <= 450).all()
+    assert (found.solution.status == Status.CONVERGED).all()
+    assert found.light.nonnegative
+    assert 0 < found.rms_255 < 0.3
+    tree, coarse = quadtree(128), quadtree(4)
+    sums = pyramid(found.basis.synthesis(found.solution.coefficients).double(), 128)
+    recovered = sums[:, within(coarse, tree)[texel_nodes(coarse)]] / 32**2
+    flux = cubemap.cosine_weights(4, 1)[:, 0]
+    error = ((recovered - texels).abs() @ flux) / (texels @ flux)
+    assert error.max() < 0.05
+    assert (found.refinement.functions < 60).all()  # 48 texels
+    assert columns.kept == 0  # nothing finer than the dense transport was asked for
+
+
+def test_a_sun_is_cast_for_once_and_found_where_it_is() -> None:
+    """The light is 1 degree wide, a texel of the dense transport 6; by the analytic shadow, 8 bits."""
+    values = block_values(BLOCK, RECEIVER, pixel_rays(sun_and_window(64)))
+    photo = receiver_image((values / values.max() * 250).round() / 250, RECEIVER)
+    method = AdaptiveHaar()
+    columns = columns_for(block_scene(), method.basis, method, use_cache=False)
+    found = estimate(photo, block_scene(), transfer=columns)
+    assert found.rms_255 < 0.5
+    assert degrees_between(peak_direction(found.peaks), SUN) < 2
+    assert isinstance(columns, NodeColumns)
+    before = columns.kept
+    assert before > 0
+    again = estimate(photo, block_scene(), transfer=columns)
+    assert columns.kept == before
+    assert torch.equal(again.solution.coefficients, found.solution.coefficients)
+
+
+def test_the_prediction_is_that_of_the_coefficients() -> None:
+    method = AdaptiveHaar(8, 40)
+    columns = columns_for(block_scene(), method.basis, method, use_cache=False)
+    dense = precompute(block_scene(), 8, use_cache=False)
+    found = estimate(photograph(random_texels(2)), block_scene(), solver=method, transfer=columns)
+    shown = found.solution.coefficients @ dense.project(method.basis).to(found.solution.coefficients).T / math.pi
+    assert_close(found.predicted, shown, rtol=1e-5, atol=1e-5)
+    same = estimate(photograph(random_texels(2)), block_scene(), solver=method, transfer=dense)
+    assert_close(same.solution.coefficients, found.solution.coefficients, rtol=1e-5, atol=1e-5)
+
+
+def test_what_is_left_open_is_filled_in() -> None:
+    usual = (HaarCubemap(128), AdaptiveHaar())
+    assert resolve_method(None, None) == usual
+    assert resolve_method(HaarCubemap(128), AdaptiveHaar()) == usual
+    assert resolve_method(None, AdaptiveHaar(64)) == (HaarCubemap(64), AdaptiveHaar(64))
+    assert resolve_method(Texels(8), None) == (Texels(8), NNLS())
+    assert resolve_method(Texels(8), Ridge()) == (Texels(8), Ridge())
+
+
+def test_methods_that_do_not_fit_are_refused(transfer: Transfer) -> None:
+    one_line(ConfigError, "leave the basis away", lambda: resolve_method(Texels(8), AdaptiveHaar(8)))
+    one_line(ConfigError, "leave the basis away", lambda: resolve_method(HaarCubemap(4), AdaptiveHaar(8)))
+    one_line(ConfigError, "Ridge needs a basis", lambda: resolve_method(None, Ridge()))
+    photo, columns = torch.ones(3, 20, 20), deepened(block_scene(), transfer, 8)
+    one_line(
+        ConfigError,
+        "NNLS needs a dense transport",
+        lambda: estimate(photo, block_scene(), HaarCubemap(8), transfer=columns),
+    )
+    one_line(
+        ShapeError,
+        "max_resolution is 16, the columns' 8",
+        lambda: estimate(photo, block_scene(), solver=AdaptiveHaar(16), transfer=columns),
+    )
+
+
+def test_other_methods_take_the_dense_transport_of_their_basis(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+
+    def noted(scene: Scene, n: int, s: int, progress: pipeline.Progress | None = None) -> Transfer:
+        seen.append(n)
+        return Transfer(torch.zeros(scene.receiver.points, cubemap.texel_count(n)), n)
+
+    monkeypatch.setattr(pipeline, "transport", noted)
+    assert isinstance(columns_for(small_scene(), Texels(8), NNLS(), use_cache=False), Transfer)
+    for resolution in (4, 16, 64):
+        method = AdaptiveHaar(resolution)
+        assert isinstance(columns_for(small_scene(), method.basis, method, use_cache=False), NodeColumns)
+    assert seen == [8, 4, 16, 16]
+
+
+def test_squares_are_cast_from_the_scene_when_asked_for(transfer: Transfer) -> None:
+    """Four quarters make the square; and the contours of the scene are found when first needed."""
+    columns = deepened(block_scene(), transfer, 16)
+    tree = columns.tree
+    parents = within(columns.coarse, tree)[columns.coarse.supports.shape[0] :]
+    parents = parents[tree.level[parents] == 2][::7]
+    quarters = tree.children[tree.support_of[parents]]
+    found = columns.finer(quarters.reshape(-1)).reshape(len(parents), 4, -1).sum(dim=1)
+    place = torch.full_like(tree.level, -1).index_copy(0, columns.node, torch.arange(len(columns.node)))
+    expected = columns.dense[place[parents]]
+    assert (found - expected).abs().max() < 0.03 * expected.max()  # 24 and 2 x 24 directions along a square
+    assert ((found - expected).abs().mean() < 1e-3 * expected.mean()).item()
 
 
 # --- what is refused -----------------------------------------------------------------------------------------------
@@ -316,32 +450,28 @@ def test_the_default_sampling_has_192_directions_along_a_face(
 
 def test_the_key_ignores_what_the_transport_does_not_depend_on() -> None:
     scene = small_scene()
-    key = transport_key(scene, 2, 2, 4)
+    key = transport_key(scene, 2, 2)
     same = [
         replace(scene, camera=camera_above()),
         replace(scene, mask=torch.ones(3, 3, dtype=torch.bool)),
         replace(scene, reference="smooth", encoding="srgb", units="mm"),
         replace(scene, receiver=replace(scene.receiver, albedo=(0.5, 0.5, 0.5))),
     ]
-    assert {transport_key(other, 2, 2, 4) for other in same} == {key}
+    assert {transport_key(other, 2, 2) for other in same} == {key}
 
 
 def test_the_key_changes_with_everything_the_transport_depends_on(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = small_scene()
     moved = scene.triangles + torch.tensor([1e-9, 0.0, 0.0], dtype=torch.float64)
     keys = [
-        transport_key(scene, 2, 2, 4),
-        transport_key(scene, 4, 2, 4),
-        transport_key(scene, 2, 4, 4),
-        transport_key(scene, 2, 2, 8),
-        transport_key(replace(scene, triangles=moved), 2, 2, 4),
-        transport_key(replace(scene, receiver=replace(scene.receiver, center=(0.1, 0.0))), 2, 2, 4),
-        transport_key(replace(scene, receiver=replace(scene.receiver, size=(4.0, 4.1))), 2, 2, 4),
-        transport_key(replace(scene, receiver=replace(scene.receiver, samples=(4, 5))), 2, 2, 4),
+        transport_key(scene, 2, 2),
+        transport_key(scene, 4, 2),
+        transport_key(scene, 2, 4),
+        transport_key(replace(scene, triangles=moved), 2, 2),
+        transport_key(replace(scene, receiver=replace(scene.receiver, center=(0.1, 0.0))), 2, 2),
+        transport_key(replace(scene, receiver=replace(scene.receiver, size=(4.0, 4.1))), 2, 2),
+        transport_key(replace(scene, receiver=replace(scene.receiver, samples=(4, 5))), 2, 2),
     ]
     monkeypatch.setattr(pipeline, "ALGORITHM", "transport-next")
-    keys.append(transport_key(scene, 2, 2, 4))
-    monkeypatch.undo()
-    monkeypatch.setattr(pipeline, "backend", lambda: "raycast")
-    keys.append(transport_key(scene, 2, 2, 4))
+    keys.append(transport_key(scene, 2, 2))
     assert len(set(keys)) == len(keys)

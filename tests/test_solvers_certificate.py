@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from torchlight.solvers import NNLS, LeastSquares, ProjectedAdam, nonnegative_certificate
+from torchlight.solvers.certificate import gap_along, kkt_residual, nonzero_norm
 from torchlight.solvers.system import System
 
 
@@ -75,3 +76,22 @@ def test_weights_enter_as_repeated_samples():
     torch.testing.assert_close(left.kkt_residual, right.kkt_residual)
     torch.testing.assert_close(left.relative_residual, right.relative_residual)
     torch.testing.assert_close(left.gap, right.gap)
+
+
+def test_more_axes_are_more_items():
+    """As the adaptive method has them: photographs, channels; norms and directions shared by all."""
+    g = torch.Generator().manual_seed(3)
+    matrix = torch.rand(20, 6, generator=g, dtype=torch.float64)
+    targets, x = (torch.rand(2, 3, n, generator=g, dtype=torch.float64) for n in (20, 6))
+    x *= 0.2
+    residual = targets - x @ matrix.T
+    w, size, norms = residual @ matrix, nonzero_norm(targets), torch.linalg.vector_norm(matrix, dim=0)[None, None]
+    ones = torch.ones(1, 1, 20, dtype=torch.float64)
+    kkt = kkt_residual(x, w, norms, size)
+    gap = gap_along(targets, residual, w, norms, ones @ matrix, ones)
+    assert (gap < 0.9).all()
+    for photo in range(2):
+        found = nonnegative_certificate(System(matrix, ones[0], targets[photo]), x[photo])
+        torch.testing.assert_close(kkt[photo], found.kkt_residual)
+        torch.testing.assert_close(gap[photo], found.gap)
+    assert nonzero_norm(torch.zeros(2, 3, 4)).tolist() == [[1.0] * 3] * 2

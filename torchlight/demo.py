@@ -15,17 +15,19 @@ from torchlight import figures, metrics
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.footprints import visible_samples
 from torchlight.geometry.receiver import Receiver
+from torchlight.inversion.adaptive import AdaptiveHaar
 from torchlight.io.atomic import make_folder, write_atomically
 from torchlight.io.images import write_png
 from torchlight.io.lights import write_light
 from torchlight.light.environment import EnvironmentMap
 from torchlight.photo.observation import Observation, linear_photo
-from torchlight.pipeline import DEFAULT_BASIS, Estimate, estimate, precompute
+from torchlight.pipeline import Estimate, columns_for, estimate
 from torchlight.relighting import relight
 from torchlight.synthetic import block_scene, block_values, eight_bit, expose, pixel_rays, receiver_image
 
 RECEIVER = Receiver(center=(0.0, 0.0), size=(4.0, 4.0), samples=(64, 64))
 FIRST_POSE = Block((1.0, 0.6, 1.2), rotation_degrees=20.0)
+METHOD = AdaptiveHaar()
 RELIGHT_RAYS = 32_768  # a quarter of the default: 0.1 of 255, and the demo is to be quick
 SECOND_POSE = Block((1.0, 0.6, 1.2), rotation_degrees=69.0, translation=(0.3, 0.2))
 Progress = Callable[[int, int], None]
@@ -62,8 +64,8 @@ def run_demo(out: Path, light: EnvironmentMap, progress: Progress | None = None)
     truth = (block_values(SECOND_POSE, RECEIVER, rays) * exposure).float()
 
     start = time.perf_counter()
-    transfer = precompute(scene, DEFAULT_BASIS.resolution, use_cache=False, progress=progress)
-    found = estimate(linear_photo(photo), scene, transfer=transfer)
+    columns = columns_for(scene, METHOD.basis, METHOD, use_cache=False, progress=progress)
+    found = estimate(linear_photo(photo), scene, solver=METHOD, transfer=columns)
     seconds = time.perf_counter() - start
 
     relit = relight(second, found.light, RELIGHT_RAYS, progress)
@@ -90,7 +92,7 @@ def write_pictures(
     write_atomically(out / "fit.png", figures.fit_picture(found.observation, found.predicted, RECEIVER, "units", title))
     true_light = EnvironmentMap(above_horizon(light.radiance) * exposure)
     write_atomically(out / "light.png", figures.light_comparison(true_light, found.light))
-    write_light(out / "light.exr", found.light, {"method": "texels"})
+    write_light(out / "light.exr", found.light, {"method": "adaptive"})
     return tuple(out / name for name in ("photo.png", "fit.png", "light.png", "light.exr"))
 
 

@@ -2,33 +2,36 @@
 
 linear      = linearize(photo, scene)               [*batch 3 height width], relative radiance
 observation = observe(linear, scene)                samples [*batch 3 points], weights [*batch points]
-transfer    = precompute(scene, resolution)         T [points texels], shared by every photograph
-solution    = solve_light(transfer, basis, ...)     coefficients, status, certificate
+transfer    = columns_for(scene, basis, solver)     T [points texels], shared by every photograph
+solution    = find_light(transfer, basis, ...)      coefficients, status, certificate
 light       = synthesize(basis, coefficients)       EnvironmentMap
 predicted   = albedo / pi * T c                     what the receiver would show under that light
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchlight import metrics
 from torchlight.camera import project
 from torchlight.errors import CalibrationError, ConfigError, SceneError
+from torchlight.geometry.contours import scene_contours
 from torchlight.geometry.footprints import footprint_points, subpoints_for, visible_samples
 from torchlight.geometry.receiver import sample_centers
 from torchlight.geometry.scene import Scene
-from torchlight.geometry.visibility import backend
 from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
 from torchlight.inversion.linear import default_solver, solve_light
+from torchlight.inversion.nodes import NodeColumns
 from torchlight.inversion.refinement import Refinement
 from torchlight.io import cache
 from torchlight.io.images import Photo
-from torchlight.light.bases import Basis, SphericalHarmonics, Texels
+from torchlight.light.bases import Basis, SphericalHarmonics
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.peaks import Peaks, environment_peaks, texel_peaks
 from torchlight.light.synthesis import synthesize
@@ -37,11 +40,10 @@ from torchlight.photo.observation import LinearPhoto, Observation, linear_photo
 from torchlight.photo.rectification import from_camera, from_rectified
 from torchlight.relighting import albedo_over_pi, irradiance
 from torchlight.solvers import Solution, Solver
-from torchlight.transfer import ALGORITHM, Transfer, refine, transport
+from torchlight.transfer import ALGORITHM, Transfer, square_columns, transport
 
 DIRECTIONS_PER_EDGE = 192  # see docs/convergence.md
-REFINED_PER_EDGE = 768  # where a texel is partly hidden: takes the error from 0.3 to below 0.1 of 255
-DEFAULT_BASIS = Texels(16)
+Columns = Transfer | NodeColumns
 Progress = Callable[[int, int], None]
 
 
@@ -73,56 +75,113 @@ class Estimate:
         return metrics.rms_255(self.predicted, self.observation.samples, self.observation.weights)
 
 
+@dataclass(frozen=True, eq=False)
+class FoundLight:
+    """Coefficients, and what they entail.
+
+    Attributes:
+        solution: coefficients and certificates.
+        irradiance: E of every sample under that light.
+        refinement: functions in use and why no others, of the adaptive method; else None.
+    """
+
+    solution: Solution
+    irradiance: Float[Tensor, "*batch 3 points"]
+    refinement: Refinement | None = None
+
+
 def estimate(
     photos: LinearPhoto | Float[Tensor, "*batch 3 height width"],
     scene: Scene,
-    basis: Basis = DEFAULT_BASIS,
+    basis: Basis | None = None,
     solver: Solver | AdaptiveHaar | None = None,
-    transfer: Transfer | None = None,
+    transfer: Columns | None = None,
 ) -> Estimate:
     """Returns the light that explains linear photographs of a scene, all of them and all channels at once.
 
     Args:
         photos: linear photographs (`linearize`), or rectified receiver images where the scene has no camera.
         scene: occluders, receiver, camera.
-        basis: what light is made of.
-        solver: None = exact and non-negative; `AdaptiveHaar` goes with its own `basis`.
-        transfer: from `precompute`; computed when absent.
+        basis: what light is made of; None = Haar functions chosen by the photograph (`AdaptiveHaar`).
+        solver: None = exact and non-negative.
+        transfer: from `columns_for`, or `precompute` at the basis' resolution; computed when absent.
     """
+    basis, solver = resolve_method(basis, solver)
     linear = photos if isinstance(photos, LinearPhoto) else linear_photo(photos)
     observation = observe(linear, scene)
-    transfer = precompute(scene, basis.resolution) if transfer is None else transfer
-    return explain(observation, scene, transfer, basis, default_solver(basis) if solver is None else solver)
+    transfer = columns_for(scene, basis, solver) if transfer is None else transfer
+    return explain(observation, scene, transfer, basis, solver)
+
+
+def resolve_method(basis: Basis | None, solver: Solver | AdaptiveHaar | None) -> tuple[Basis, Solver | AdaptiveHaar]:
+    """Returns basis and solver with what was left open filled in.
+
+    Raises:
+        ConfigError: the basis is not that of the adaptive method, or a solver is given without a basis.
+    """
+    if isinstance(solver, AdaptiveHaar):
+        if basis is not None and basis != solver.basis:
+            raise ConfigError(f"AdaptiveHaar works on {solver.basis}, got the basis {basis}; leave the basis away")
+        return solver.basis, solver
+    if basis is not None:
+        return basis, default_solver(basis) if solver is None else solver
+    if solver is not None:
+        raise ConfigError(f"{type(solver).__name__} needs a basis: for example Texels(16)")
+    return AdaptiveHaar().basis, AdaptiveHaar()
+
+
+def columns_for(
+    scene: Scene,
+    basis: Basis,
+    solver: Solver | AdaptiveHaar,
+    use_cache: bool = True,
+    progress: Progress | None = None,
+    device: torch.device | str = "cpu",
+) -> Columns:
+    """Returns what a solve takes of a scene: its dense transport, or for `AdaptiveHaar` columns on demand beside it.
+
+    Keep it for all photographs of the scene: `NodeColumns` remember what they have cast.
+    """
+    if not isinstance(solver, AdaptiveHaar):
+        return precompute(scene, basis.resolution, use_cache=use_cache, progress=progress).to(device)
+    dense = precompute(scene, solver.dense_resolution, use_cache=use_cache, progress=progress).to(device)
+    return deepened(scene, dense, solver.max_resolution)
+
+
+def deepened(scene: Scene, dense: Transfer, resolution: int) -> NodeColumns:
+    """Returns the columns of all squares down to a resolution, those finer than the dense transport cast on demand."""
+    contours = functools.cache(lambda: scene_contours(scene))
+    return NodeColumns(dense, resolution, lambda squares, cells: square_columns(scene, squares, cells, contours()))
 
 
 def explain(
-    observation: Observation, scene: Scene, transfer: Transfer, basis: Basis, solver: Solver | AdaptiveHaar
+    observation: Observation, scene: Scene, transfer: Columns, basis: Basis, solver: Solver | AdaptiveHaar
 ) -> Estimate:
     """Returns the light that explains observations of one scene, with its prediction."""
-    transfer = transfer.to(device=observation.samples.device)
     factor = albedo_over_pi(scene.receiver, observation.samples)
     received = replace(observation, samples=observation.samples / factor)
-    solution, refinement = find_light(transfer, basis, received, solver)
-    predicted = factor * irradiance(transfer.project(basis), solution.coefficients).to(factor)
-    light = synthesize(basis, solution.coefficients)
-    peaks = find_peaks(basis, solution, light)
-    return Estimate(light, solution, basis, observation, predicted, peaks, refinement)
+    found = find_light(transfer, basis, received, solver)
+    light = synthesize(basis, found.solution.coefficients)
+    peaks = find_peaks(basis, found.solution, light)
+    predicted = factor * found.irradiance.to(factor)
+    return Estimate(light, found.solution, basis, observation, predicted, peaks, found.refinement)
 
 
-def find_light(
-    transfer: Transfer, basis: Basis, observation: Observation, solver: Solver | AdaptiveHaar
-) -> tuple[Solution, Refinement | None]:
-    """Returns the coefficients of the light, and what the adaptive method decided on the way.
+def find_light(transfer: Columns, basis: Basis, observation: Observation, solver: Solver | AdaptiveHaar) -> FoundLight:
+    """Returns the coefficients of the light, what the receiver shows under it, and what the adaptive method decided.
 
     Raises:
-        ConfigError: the basis is not that of the adaptive method.
+        ConfigError: the basis is not that of the adaptive method, or the columns are for another method.
     """
-    if not isinstance(solver, AdaptiveHaar):
-        return solve_light(transfer, basis, observation, solver), None
-    if basis != solver.basis:
-        raise ConfigError(f"AdaptiveHaar works on {solver.basis}, got the basis {basis}; pass its attribute `basis`")
-    found = solve_adaptive(transfer, observation, solver)
-    return found.solution, found.refinement
+    if isinstance(solver, AdaptiveHaar):
+        resolve_method(basis, solver)
+        found = solve_adaptive(transfer, observation, solver)
+        return FoundLight(found.solution, found.irradiance, found.refinement)
+    if not isinstance(transfer, Transfer):
+        raise ConfigError(f"{type(solver).__name__} needs a dense transport; make it with precompute")
+    solution = solve_light(transfer, basis, observation, solver)
+    shown = irradiance(transfer.project(basis), solution.coefficients).to(observation.samples)
+    return FoundLight(solution, shown)
 
 
 def linearize(photo: Photo, scene: Scene) -> LinearPhoto:
@@ -227,33 +286,23 @@ def precompute(
     Args:
         scene: occluders and receiver; camera, mask, reference and albedo play no part.
         resolution: texels along a cube map face's edge.
-        subsamples: directions along a texel's edge; None = as many as make 192 along a face's edge, at least 2, and
-            768 for the texels that are partly hidden from a sample.
+        subsamples: directions along a texel's edge; None = as many as make 192 along a face's edge, at least 2.
         use_cache: False = neither read nor write the cache.
         progress: called with (work done, work).
     """
     count = subsamples if subsamples is not None else max(2, DIRECTIONS_PER_EDGE // resolution)
-    fine = count if subsamples is not None else max(count, REFINED_PER_EDGE // resolution)
     if not use_cache:
-        return cast_transport(scene, resolution, count, fine, progress)
-    key = transport_key(scene, resolution, count, fine)
+        return transport(scene, resolution, count, progress)
+    key = transport_key(scene, resolution, count)
     stored = cache.load(key)
     if stored is not None:
         return Transfer(stored["transport"], resolution)
-    result = cast_transport(scene, resolution, count, fine, progress)
+    result = transport(scene, resolution, count, progress)
     cache.store(key, {"transport": result.transport}, {"algorithm": ALGORITHM, "resolution": str(resolution)})
     return result
 
 
-def cast_transport(
-    scene: Scene, resolution: int, subsamples: int, refined: int, progress: Progress | None = None
-) -> Transfer:
-    """Returns the transport by ray casting, with more rays (`refined`) where texels are partly hidden."""
-    coarse = transport(scene, resolution, subsamples, progress)
-    return coarse if refined <= subsamples else refine(scene, coarse, refined, progress)
-
-
-def transport_key(scene: Scene, resolution: int, subsamples: int, refined: int) -> str:
+def transport_key(scene: Scene, resolution: int, subsamples: int) -> str:
     """Returns the content key of a transport: everything its numbers depend on, and nothing else."""
     receiver = scene.receiver
     return cache.content_key(
@@ -264,8 +313,6 @@ def transport_key(scene: Scene, resolution: int, subsamples: int, refined: int) 
             "samples": receiver.samples,
             "resolution": resolution,
             "subsamples": subsamples,
-            "refined": refined,
-            "backend": backend(),
             "algorithm": ALGORITHM,
         }
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -14,8 +14,10 @@ from safetensors.torch import save
 from torch import Tensor
 
 from torchlight import figures, metrics
+from torchlight.fates import NAMES, fate_counts, fates_picture
 from torchlight.geometry.scene import Scene
-from torchlight.inversion.refinement import Refinement
+from torchlight.inversion.quadtree import quadtree
+from torchlight.inversion.refinement import Fate, Refinement
 from torchlight.io.atomic import partial_folder, write_atomically
 from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
@@ -85,7 +87,8 @@ def write_result(
 ) -> dict[str, Any]:
     """Writes the folder of one photograph and returns what result.json holds.
 
-    light.exr, light.hdr and light.png (the light), fit.png, estimate.safetensors, result.json, timing.json.
+    light.exr, light.hdr and light.png (the light), fit.png, estimate.safetensors, result.json, timing.json; of the
+    adaptive method also refinement.png.
 
     Raises:
         FormatError: the folder exists and `overwrite` is False, or it cannot be written.
@@ -102,6 +105,8 @@ def write_result(
         write_light(partial / "light.hdr", estimate.light, {})
         write_atomically(partial / "light.png", preview.png)
         write_atomically(partial / "fit.png", fit)
+        if estimate.refinement is not None:
+            write_atomically(partial / "refinement.png", fates_picture(estimate.refinement, estimate.basis.resolution))
         write_atomically(partial / "estimate.safetensors", save(tensors(estimate)))
         write_json(partial / "timing.json", {"seconds": dict(provenance.seconds)})
         write_json(partial / "result.json", result)
@@ -141,7 +146,7 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "solver": provenance.solver,
         "coefficients": estimate.basis.size,
         "nonzero": ((coefficients.abs() > ZERO * largest).sum(dim=-1)).tolist(),
-        **size_of_light(estimate.refinement),
+        **size_of_light(estimate.refinement, estimate.basis.resolution),
         "nonnegative": estimate.light.nonnegative,
         "status": [Status(value).name.lower() for value in solution.status.tolist()],
         "steps": solution.steps.tolist(),
@@ -161,11 +166,30 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
     }
 
 
-def size_of_light(refinement: Refinement | None) -> dict[str, Any]:
-    """Returns functions in use and regions of constant light per channel; None where the basis is used as a whole."""
+def size_of_light(refinement: Refinement | None, resolution: int) -> dict[str, Any]:
+    """Returns functions in use, regions of constant light and fates of supports per channel; None for a whole basis."""
     if refinement is None:
-        return {"functions": None, "regions": None}
-    return {"functions": refinement.functions.tolist(), "regions": refinement.regions.tolist()}
+        return {"functions": None, "regions": None, "fates": None}
+    return {
+        "functions": refinement.functions.tolist(),
+        "regions": refinement.regions.tolist(),
+        "fates": [level_table(resolution, kept, fate) for kept, fate in channels_of(refinement)],
+    }
+
+
+def channels_of(refinement: Refinement) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yields the functions in use and the fates of every channel."""
+    yield from zip(refinement.kept.cpu(), refinement.fate.cpu(), strict=True)
+
+
+def level_table(resolution: int, kept: Tensor, fate: Tensor) -> list[dict[str, int]]:
+    """Returns, from coarse to fine, how many of a level's supports met which fate; a level without any is left out."""
+    counts = fate_counts(quadtree(resolution), kept, fate)
+    return [
+        {"level": level, **{NAMES[name].replace(" ", "_").replace("-", "_"): int(row[name]) for name in Fate}}
+        for level, row in enumerate(counts)
+        if int(row.sum()) > 0
+    ]
 
 
 def visibility(observation: Observation) -> dict[str, Any]:

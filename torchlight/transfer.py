@@ -4,6 +4,11 @@
 
 so that E(x) = sum over k of T[x, k] L[k]; without occluders its rows sum to pi. Albedo, camera, mask and
 reference are not part of it: one transport serves every photograph of a scene.
+
+A texel, or any square of the cube map's faces, is integrated over subsamples x subsamples equal cells with exact
+cosine weights, one direction each. Along x the share of a footprint that a direction sees is exact; along y it is
+the mean over `LINES` lines, which every direction places elsewhere (`line_shifts`). No ray is cast and nothing of the
+size samples x directions is held: `geometry.contours` tells how.
 """
 
 from __future__ import annotations
@@ -11,23 +16,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.errors import ConfigError, ShapeError
-from torchlight.geometry.receiver import Receiver, sample_centers
+from torchlight.geometry.contours import Contours, scene_contours
+from torchlight.geometry.crossings import Rectangles, on_grid, visible_integrals
 from torchlight.geometry.scene import Scene
 from torchlight.geometry.threads import ordered_map
-from torchlight.geometry.visibility import OcclusionTest, scene_occlusion
 from torchlight.light import cubemap
 from torchlight.light.bases import Basis
 
-ALGORITHM = "transport-1"  # part of the cache key: raise it whenever the numbers change
-MEMORY_BUDGET = 8 * 2**30  # bytes the transport itself may take
-PARTLY = 1e-5  # of a texel: less than one ray of many, more than the rounding of float32 sums
-RAYS_PER_BLOCK = 1_000_000  # about 40 MB of rays per thread
+ALGORITHM = "transport-2"  # part of the cache key: raise it whenever the numbers change
+MEMORY_BUDGET = 4 * 2**30  # bytes the transport itself may take
+LINES = 2  # per row of samples and direction
+DIRECTIONS_PER_CHUNK = 4096
+VALUES_PER_CHUNK = 4_000_000  # samples x squares, 32 MB per thread
+LATTICE = (0.7548776662466927, 0.5698402909980532)  # rank 1, from the plastic number (Roberts 2018)
 Progress = Callable[[int, int], None]
 
 
@@ -70,139 +76,130 @@ class Transfer:
 
 
 def transport(scene: Scene, resolution: int, subsamples: int, progress: Progress | None = None) -> Transfer:
-    """Returns the transport of a scene by ray casting, float32.
-
-    Every texel is cut into subsamples x subsamples cells with exact cosine weights, one direction per cell; the ray
-    of the i-th cell starts at the i-th of as many strata of the sample's footprint, so that one sum integrates over
-    the texel and over the footprint at once (`footprint_offsets`).
+    """Returns the transport of a scene, float32.
 
     Args:
         scene: occluders and receiver.
-        resolution: texels along a face's edge, a power of two up to 128.
-        subsamples: cells along a texel's edge.
+        resolution: texels along a face's edge.
+        subsamples: directions along a texel's edge.
         progress: called with (texels done, texels).
 
     Raises:
         ConfigError: the transport would exceed `MEMORY_BUDGET`, or there is no direction per texel.
     """
-    if subsamples < 1:
-        raise ConfigError(f"subsamples: expected at least 1 direction along a texel's edge, got {subsamples}")
+    check_subsamples(subsamples)
     texels = cubemap.texel_count(resolution)
     check_budget(scene.receiver.points, texels)
-    cells = cubemap.texel_cells(resolution, subsamples)
-    directions = cubemap.cell_directions(cells).numpy()
-    weights = cubemap.cell_cosine_weights(cells).float()
-    offsets = footprint_offsets(texels, subsamples, scene.receiver).numpy()
-    points = receiver_points(scene.receiver)
-    test = scene_occlusion(scene)
-    result = torch.empty(texels, len(points), dtype=torch.float32)
-
-    def fill(block: tuple[slice, slice]) -> int:
-        part, rows = block
-        hidden = hidden_cells(test, points[rows], directions[part], offsets[part])
-        result[part, rows] = torch.einsum("tc,tcp->tp", weights[part], 1.0 - hidden.float())
-        return hidden.shape[0] * hidden.shape[2]
-
-    done = 0
-    for filled in ordered_map(fill, work_blocks(texels, len(points), subsamples**2)):
-        done += filled
+    result = torch.empty(scene.receiver.points, texels, dtype=torch.float32)
+    for part, columns in cast(scene, cubemap.whole_texels(resolution), subsamples):
+        result[:, part] = columns.T.float()
         if progress is not None:
-            progress(done, texels * len(points))
-    return Transfer(result.T.contiguous(), resolution)
+            progress(part.stop, texels)
+    return Transfer(result, resolution)
 
 
-def refine(scene: Scene, coarse: Transfer, subsamples: int, progress: Progress | None = None) -> Transfer:
-    """Returns the transport with every partly hidden (sample, texel) pair cast anew, subsamples^2 rays each.
+def square_columns(
+    scene: Scene, squares: Int[Tensor, "squares 4"], subsamples: int, contours: Contours | None = None
+) -> Float[Tensor, "squares points"]:
+    """Returns the transport of squares of the cube map's faces, one row per square, float64.
 
-    A pair that all coarse rays passed, or none, keeps its value. Shadow edges are where the error is, and they cross
-    few pairs (5 to 8 % under a block at 16 texels), so that many more rays there cost little.
+    A square depends on nothing but itself: alone or among others, on one thread or many, it gets the same bits.
 
     Args:
-        scene: the scene that `coarse` was made of.
-        coarse: from `transport`.
-        subsamples: cells along a texel's edge, more than `coarse` was made with.
-        progress: called with (texels done, texels).
+        scene: occluders and receiver.
+        squares: (face, level, row, column): a texel of the map with 2^level texels along a face's edge, with some
+            part above z = 0.
+        subsamples: directions along a square's edge.
+        contours: from `scene_contours`, which is worth keeping for many calls.
+
+    Raises:
+        ConfigError: there is no direction per square, or no such square above the horizon.
     """
-    cells = cubemap.texel_cells(coarse.resolution, subsamples)
-    directions = cubemap.cell_directions(cells).numpy()
-    weights = cubemap.cell_cosine_weights(cells).float()
-    offsets = footprint_offsets(len(directions), subsamples, scene.receiver).numpy()
-    points = receiver_points(scene.receiver)
-    test = scene_occlusion(scene)
-    result = coarse.transport.clone()
-
-    def cast(pair: tuple[int, Tensor]) -> tuple[int, Tensor, Tensor]:
-        texel, samples = pair
-        part = slice(texel, texel + 1)
-        hidden = hidden_cells(test, points[samples.numpy()], directions[part], offsets[part])
-        return texel, samples, torch.einsum("tc,tcp->tp", weights[part], 1.0 - hidden.float())[0]
-
-    for texel, samples, values in ordered_map(cast, partly_hidden(coarse, RAYS_PER_BLOCK // subsamples**2)):
-        result[samples, texel] = values
-        if progress is not None:
-            progress(texel + 1, len(directions))
-    return replace(coarse, transport=result)
+    check_subsamples(subsamples)
+    check_squares(squares)
+    result = torch.empty(len(squares), scene.receiver.points, dtype=torch.float64)
+    for part, columns in cast(scene, cubemap.square_cells(squares), subsamples, contours):
+        result[part] = columns
+    return result
 
 
-def partly_hidden(coarse: Transfer, most: int) -> Iterator[tuple[int, Tensor]]:
-    """Yields (texel, samples): the samples from which a texel is partly hidden, at most `most` (or one) at a time."""
-    open_sky = cubemap.cosine_weights(coarse.resolution, 1)[:, 0].to(coarse.transport)
-    for texel, whole in enumerate(open_sky):
-        column = coarse.transport[:, texel]
-        partly = (column > whole * PARTLY) & (column < whole * (1 - PARTLY))
-        yield from ((texel, samples) for samples in partly.nonzero()[:, 0].split(max(1, most)) if len(samples))
+def cast(
+    scene: Scene, cells: cubemap.Cells, subsamples: int, contours: Contours | None = None
+) -> Iterator[tuple[slice, Float[Tensor, "part points"]]]:
+    """Yields the transport of cells [cells], some at a time and in their order."""
+    contours = scene_contours(scene) if contours is None else contours
+    shape = on_grid(contours, scene.receiver, LINES)
+    count, points = len(cells.face), scene.receiver.points
+    step = max(1, min(DIRECTIONS_PER_CHUNK // subsamples**2, VALUES_PER_CHUNK // points))
+
+    def integrate(part: slice) -> tuple[slice, Tensor]:
+        rectangles = directions_of(some(cells, part), subsamples)
+        return part, visible_integrals(shape, rectangles)
+
+    yield from ordered_map(integrate, (slice(at, min(at + step, count)) for at in range(0, count, step)))
+
+
+def some(cells: cubemap.Cells, part: slice) -> cubemap.Cells:
+    """Returns a part of the cells."""
+    return cubemap.Cells(cells.face[part], cells.left[part], cells.right[part], cells.bottom[part], cells.top[part])
+
+
+def directions_of(cells: cubemap.Cells, subsamples: int) -> Rectangles:
+    """Returns each cell [cells] as a rectangle of subsamples x subsamples directions."""
+    parts = cubemap.cut(cells, subsamples)
+    frames = cubemap.face_frames()[cells.face]
+    u, v = (cells.left + cells.right) / 2, (cells.bottom + cells.top) / 2
+    shape = (len(cells.face), subsamples, subsamples)
+    return Rectangles(
+        center=frames[:, 2] + u[:, None] * frames[:, 0] + v[:, None] * frames[:, 1],
+        right=frames[:, 0] * (cells.right - u)[:, None],
+        up=frames[:, 1] * (cells.top - v)[:, None],
+        directions=cubemap.cell_directions(parts).reshape(*shape, 3),
+        weights=cubemap.cell_cosine_weights(parts).reshape(shape),
+        shifts=line_shifts(cells, subsamples),
+    )
+
+
+def line_shifts(cells: cubemap.Cells, subsamples: int) -> Float[Tensor, "cells {subsamples} {subsamples}"]:
+    """Returns where in its stratum each direction's lines lie, in [0, 1).
+
+    A rank-1 lattice over all directions of a face, so that neither a texel nor its neighbourhood prefers a line; a
+    direction keeps its line whatever other squares are asked for.
+    """
+    width = cells.right - cells.left
+    first_row, first_column = torch.round((1 - cells.top) / width), torch.round((1 + cells.left) / width)
+    step = torch.arange(subsamples, dtype=torch.float64)
+    row = first_row[:, None] * subsamples + step
+    column = first_column[:, None] * subsamples + step
+    return (0.5 + row[:, :, None] * LATTICE[0] + column[:, None, :] * LATTICE[1]) % 1.0
+
+
+def check_subsamples(subsamples: int) -> None:
+    """Raises ConfigError unless there is a direction."""
+    if subsamples < 1:
+        raise ConfigError(f"subsamples: expected at least 1 direction along a texel's edge, got {subsamples}")
+
+
+def check_squares(squares: Int[Tensor, "squares 4"]) -> None:
+    """Raises ConfigError unless every square lies on one of the five faces and partly above the horizon."""
+    face, level, row, column = squares.unbind(dim=1)
+    edge = 2**level
+    bottom = torch.where(face == cubemap.TOP_FACE, edge, (edge + 1) // 2)
+    inside = (face >= 0) & (face < cubemap.PLANE_FACES) & (level >= 0) & (row >= 0) & (row < bottom)
+    inside &= (column >= 0) & (column < edge)
+    if not bool(inside.all()):
+        wrong = squares[~inside][0].tolist()
+        raise ConfigError(
+            f"squares: (face, level, row, column) = {tuple(wrong)} is no square above the horizon; expected a face 0 "
+            "to 4 and a row and a column below 2^level, on side faces rows of the upper half"
+        )
 
 
 def check_budget(points: int, texels: int) -> None:
     """Raises ConfigError when a float32 transport of this size would exceed the memory budget."""
-    size = 4 * points * texels * 2  # the result and its transpose exist together for a moment
+    size = 4 * points * texels
     if size > MEMORY_BUDGET:
         raise ConfigError(
             f"the transport of {points:,} samples x {texels:,} texels needs {size / 2**30:.1f} GiB, more than "
             f"{MEMORY_BUDGET / 2**30:.0f} GiB; use fewer receiver.samples or a smaller --resolution"
         )
-
-
-def receiver_points(receiver: Receiver) -> np.ndarray:
-    """Returns the sample centres as world points on z = 0, [points, 3]."""
-    centers = sample_centers(receiver)
-    return torch.cat([centers, torch.zeros_like(centers[:, :1])], dim=1).numpy()
-
-
-def hidden_cells(test: OcclusionTest, points: np.ndarray, directions: np.ndarray, offsets: np.ndarray) -> Tensor:
-    """Returns whether each point is hidden from each cell's direction, [texels, cells, points]."""
-    texels, cells = directions.shape[:2]
-    hidden = test.hidden_on_plane(points, directions.reshape(-1, 3), offsets.reshape(-1, 2))
-    return torch.from_numpy(hidden).reshape(texels, cells, len(points))
-
-
-def footprint_offsets(texels: int, subsamples: int, receiver: Receiver) -> Float[Tensor, "texels cells 2"]:
-    """Returns the shift of the ray origins for every cell, in the scene's unit.
-
-    Cell (i, j) of a texel is paired with the stratum (a i + b j, c i + d j) mod s of the footprint, a bijection that
-    sends neighbouring directions to distant origins; each texel adds its own rotation of the pattern (Cranley and
-    Patterson 1976) by a rank-1 lattice, so that the error of one texel is not repeated in the next.
-    """
-    s = subsamples
-    i, j = torch.meshgrid(torch.arange(s), torch.arange(s), indexing="ij")
-    step = coprime_near(s, 0.382 * s)
-    strata = torch.stack([(j + step * i) % s, (i + step * j + step * step * i) % s], dim=-1).reshape(1, -1, 2)
-    lattice = torch.tensor([0.7548776662466927, 0.5698402909980532], dtype=torch.float64)
-    turn = torch.arange(texels, dtype=torch.float64)[:, None, None] * lattice
-    unit = (strata.double() + turn * s) / s % 1.0
-    return (unit - 0.5) * torch.tensor(receiver.footprint, dtype=torch.float64)
-
-
-def coprime_near(modulus: int, value: float) -> int:
-    """Returns the integer in [1, modulus] coprime to the modulus that lies nearest to a value."""
-    candidates = [k for k in range(1, modulus + 1) if np.gcd(k, modulus) == 1]
-    return min(candidates, key=lambda k: abs(k - value))
-
-
-def work_blocks(texels: int, points: int, cells: int) -> Iterator[tuple[slice, slice]]:
-    """Yields (texels, points) blocks of at most about RAYS_PER_BLOCK rays."""
-    rows = max(1, min(points, RAYS_PER_BLOCK // cells))
-    count = max(1, RAYS_PER_BLOCK // (cells * rows))
-    for start in range(0, texels, count):
-        for first in range(0, points, rows):
-            yield slice(start, min(start + count, texels)), slice(first, min(first + rows, points))

@@ -28,15 +28,15 @@ class Estimate:
     """Photographs of that scene: PNG, JPEG, TIFF, EXR or HDR."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder that receives one folder per photograph."""
-    method: Annotated[Literal["texels", "haar", "adaptive", "sh"], arg(aliases=["--basis"])] = "texels"
-    """What light is made of: cube map texels, Haar wavelets on them (all, or few chosen by the photograph), or
-    spherical harmonics."""
+    method: Annotated[Literal["texels", "haar", "adaptive", "sh"], arg(aliases=["--basis"])] = "adaptive"
+    """What light is made of. adaptive: few Haar wavelets, as fine as the photograph tells. texels: all texels of a cube
+    map. haar: all wavelets on them. sh: spherical harmonics."""
     resolution: int | None = None
-    """Texels along a cube map face's edge, a power of two up to 128, under --method adaptive up to 32.
-    Default: 16; 32 under spherical harmonics."""
+    """Texels along a cube map face's edge, a power of two; under --method adaptive those of the finest level, up to 512
+    (for a sun). Default: 128 under adaptive, 32 under sh, else 16."""
     degree: int = 5
     """Largest degree of spherical harmonics, (degree + 1)^2 coefficients; with --method sh."""
-    functions: int = 120
+    functions: int = 450
     """Most Haar functions per channel; with --method adaptive."""
     rule: Literal["gain", "paper"] = "gain"
     """gain: best first, by what a function explains. paper: level by level, as published; with --method adaptive."""

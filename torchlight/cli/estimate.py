@@ -27,7 +27,7 @@ from torchlight.io.scene_file import load_scene
 from torchlight.light.bases import Basis, HaarCubemap, SphericalHarmonics, Texels
 from torchlight.light.cubemap import texel_count
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import Estimate, check_lit, explain, linearize, observe, precompute, visible_part
+from torchlight.pipeline import Columns, Estimate, check_lit, columns_for, explain, linearize, observe, visible_part
 from torchlight.results import Provenance, select, write_result
 from torchlight.solvers import Solver, Status
 from torchlight.solvers.solution import CAUSE_AND_CURE
@@ -35,6 +35,7 @@ from torchlight.transfer import Transfer, check_budget
 
 PHOTOS_PER_SOLVE = 8  # results appear block by block; the exact solver gains nothing from more at once
 DEFAULT_RESOLUTION = 16
+DEFAULT_ADAPTIVE_RESOLUTION = 128
 DEFAULT_HARMONICS_RESOLUTION = 32  # harmonics vary within a texel: a finer transport keeps that below 0.1 of 255
 SOME_FAILED = 1
 
@@ -60,7 +61,7 @@ class Plan:
     solver: Solver | AdaptiveHaar
     device: torch.device
     visible: Bool[Tensor, " points"]
-    transfer: Transfer
+    columns: Columns
     seconds: dict[str, float]
 
 
@@ -74,9 +75,10 @@ def run(command: arguments.Estimate) -> int:
     plan = prepare(command)
     visible, points = int(plan.visible.sum()), plan.scene.receiver.points
     print(f"{command.scene}: {visible} of {points} samples visible ({visible / points:.1%})")
-    too_much = excess(plan.transfer, plan.visible, plan.basis, command.solver != "ridge")
-    if too_much is not None:
-        fail(f"warning: {too_much}")
+    if isinstance(plan.columns, Transfer):  # the adaptive method takes no more than the shadows determine
+        too_much = excess(plan.columns, plan.visible, plan.basis, command.solver != "ridge")
+        if too_much is not None:
+            fail(f"warning: {too_much}")
     usable, done = 0, 0
     for start in range(0, len(command.photos), PHOTOS_PER_SOLVE):
         jobs = list(observed(plan, command.photos[start : start + PHOTOS_PER_SOLVE]))
@@ -117,17 +119,26 @@ def check_places(command: arguments.Estimate) -> None:
 def prepare(command: arguments.Estimate) -> Plan:
     """Returns what all photographs share: the scene, the settings, the visible samples and the transport."""
     seconds: dict[str, float] = {}
-    basis = named_basis(command)
-    solver = adaptive_method(command) if command.method == "adaptive" else named_solver(command.solver, basis)
+    basis, solver = named_method(command)
     device = named_device(command.device)
     with timed(seconds, "scene"):
         scene = load_scene(command.scene)
-        check_budget(scene.receiver.points, texel_count(basis.resolution))
+        dense = solver.dense_resolution if isinstance(solver, AdaptiveHaar) else basis.resolution
+        check_budget(scene.receiver.points, texel_count(dense))
         visible = visible_part(scene)
-    with timed(seconds, "transport"), progress_bar("casting rays") as progress:
-        transfer = precompute(scene, basis.resolution, use_cache=not command.no_cache, progress=progress)
+    with timed(seconds, "transport"), progress_bar("transport") as progress:
+        columns = columns_for(scene, basis, solver, not command.no_cache, progress, device)
     digest = sha256_of(read_bytes(command.scene))
-    return Plan(command, scene, digest, basis, solver, device, visible, transfer.to(device), seconds)
+    return Plan(command, scene, digest, basis, solver, device, visible, columns, seconds)
+
+
+def named_method(command: arguments.Estimate) -> tuple[Basis, Solver | AdaptiveHaar]:
+    """Returns what light is made of and how it is found."""
+    if command.method == "adaptive":
+        solver = adaptive_method(command)
+        return solver.basis, solver
+    basis = named_basis(command)
+    return basis, named_solver(command.solver, basis)
 
 
 def adaptive_method(command: arguments.Estimate) -> AdaptiveHaar:
@@ -138,7 +149,8 @@ def adaptive_method(command: arguments.Estimate) -> AdaptiveHaar:
     """
     if command.solver != "nnls":
         raise ConfigError(f"--solver {command.solver}: --method adaptive has a solver of its own; leave --solver away")
-    resolution = DEFAULT_RESOLUTION if command.resolution is None else command.resolution
+    usual = DEFAULT_ADAPTIVE_RESOLUTION if command.rule == "gain" else DEFAULT_RESOLUTION
+    resolution = usual if command.resolution is None else command.resolution
     return AdaptiveHaar(resolution, command.functions, command.noise, named_rule(command.rule))
 
 
@@ -181,7 +193,7 @@ def solve_and_write(plan: Plan, jobs: Sequence[Job]) -> int:
     start = time.perf_counter()
     samples = torch.stack([job.observation.samples for job in jobs]).to(plan.device)
     weights = torch.stack([job.observation.weights for job in jobs]).to(plan.device)
-    estimate = explain(Observation(samples, weights), plan.scene, plan.transfer, plan.basis, plan.solver)
+    estimate = explain(Observation(samples, weights), plan.scene, plan.columns, plan.basis, plan.solver)
     share = (time.perf_counter() - start) / len(jobs)
     return sum(write(plan, job, select(estimate, item), share) for item, job in enumerate(jobs))
 

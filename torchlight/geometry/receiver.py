@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -71,6 +72,12 @@ def sample_centers(
     y = receiver.center[1] - receiver.size[1] / 2 + (torch.arange(rows, dtype=torch.float64) + 0.5) * step_y
     grid_y, grid_x = torch.meshgrid(y, x, indexing="ij")
     return torch.stack([grid_x, grid_y], dim=-1).reshape(-1, 2).to(dtype=dtype, device=device)
+
+
+def receiver_points(receiver: Receiver) -> np.ndarray:
+    """Returns the sample centres as world points on z = 0, [points, 3]."""
+    centers = sample_centers(receiver)
+    return torch.cat([centers, torch.zeros_like(centers[:, :1])], dim=1).numpy()
 
 
 def receiver_corners(receiver: Receiver) -> Float[Tensor, "4 3"]:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchlight.errors import ConfigError, ShapeError
 from torchlight.inversion.gain import ProjectedGain
-from torchlight.inversion.leaf_program import TOLERANCE, Columns, Item, certificate, leaf_wavelets, scene_columns
 from torchlight.inversion.level_by_level import LevelByLevel
-from torchlight.inversion.quadtree import Quadtree, quadtree
-from torchlight.inversion.refinement import Bounds, Fate, Grown, Refinement
+from torchlight.inversion.nodes import DENSE_RESOLUTION, NodeColumns, WeightedNodes
+from torchlight.inversion.outcome import TOLERANCE, Group, Outcome
+from torchlight.inversion.refinement import Bounds, Fate, Refinement
 from torchlight.light.bases import HaarCubemap
 from torchlight.photo.observation import Observation
 from torchlight.solvers import LeastSquares, Solution, Status
@@ -23,16 +23,18 @@ from torchlight.solvers.system import assemble, binary_scale, by_weights, initia
 from torchlight.transfer import Transfer
 
 CONSTANTS = 9
-MAX_DENSE_RESOLUTION = 32
+MAX_RESOLUTION = 512
 FIGURES = 3
+ENTRIES_PER_BLOCK = 2**25  # coefficients of photographs worked on together: 256 MiB
+DEEP_PHOTOS = 4  # the same where squares are cast on demand: each photograph adds hundreds to thousands
 
 
 @runtime_checkable
 class Rule(Protocol):
     """Decides which supports are divided and which wavelets stay: `ProjectedGain` or `LevelByLevel`."""
 
-    def refine(self, item: Item, bounds: Bounds) -> Grown:
-        """Returns the tree, the functions in use and the light of one item."""
+    def refine(self, group: Group, bounds: Bounds) -> Outcome:
+        """Returns the light, the functions in use and the certificates of every item of a group."""
         ...
 
 
@@ -54,7 +56,7 @@ class AdaptiveHaar:
     """Non-negative light in at most `budget` Haar functions, chosen per photograph and channel.
 
     Attributes:
-        max_resolution: texels along a cube edge at the finest level, a power of two up to 32.
+        max_resolution: texels along a cube edge at the finest level, a power of two up to 512.
         budget: most functions: nine constants and the wavelets kept.
         noise: standard deviation of a sample's noise, as a share of the photograph's brightest sample.
         rule: which functions are used: `ProjectedGain` or `LevelByLevel`.
@@ -62,16 +64,19 @@ class AdaptiveHaar:
             at least one sigma in a way that no other function in use can.
     """
 
-    max_resolution: int = 16
-    budget: int = 120
+    max_resolution: int = 128
+    budget: int = 450
     noise: float = 0.4 / 255
     rule: Rule = ProjectedGain()  # noqa: RUF009  (frozen settings)
     condition_limit: float = 10.0
 
     def __post_init__(self) -> None:
         size = self.max_resolution
-        if not 2 <= size <= MAX_DENSE_RESOLUTION or size & (size - 1):
-            raise ConfigError(f"AdaptiveHaar.max_resolution: expected 2, 4, 8, 16 or 32, got {size}; 16 is usual")
+        if not 2 <= size <= MAX_RESOLUTION or size & (size - 1):
+            raise ConfigError(
+                f"AdaptiveHaar.max_resolution: expected a power of two from 2 to {MAX_RESOLUTION}, got {size}; "
+                "128 is usual"
+            )
         if self.budget < CONSTANTS:
             raise ConfigError(f"AdaptiveHaar.budget: expected at least {CONSTANTS} functions, got {self.budget}")
         if not 0.0 < self.noise < 1.0:
@@ -84,100 +89,125 @@ class AdaptiveHaar:
         """What the coefficients multiply."""
         return HaarCubemap(self.max_resolution)
 
+    @property
+    def dense_resolution(self) -> int:
+        """Texels along a face's edge of the transport to solve with: `NodeColumns` casts what is finer."""
+        return min(self.max_resolution, DENSE_RESOLUTION)
+
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveSolution:
-    """Haar coefficients with their certificates, and what was decided on the way.
+    """Haar coefficients with their certificates, what the receiver shows under them, and what was decided on the way.
 
     Attributes:
         solution: coefficients of the complete basis, 0 for functions not in use. kkt_residual and gap refer to the
-            program of the functions in use: S c >= 0; steps to the last of its many fits.
+            program of the functions in use: S c >= 0.
+        irradiance: E of every sample under the light.
         refinement: functions in use, fates of supports.
     """
 
     solution: Solution
+    irradiance: Float[Tensor, "*batch channels points"]
     refinement: Refinement
 
 
-def solve_adaptive(transfer: Transfer, observation: Observation, settings: AdaptiveHaar) -> AdaptiveSolution:
+def solve_adaptive(
+    columns: Transfer | NodeColumns, observation: Observation, settings: AdaptiveHaar
+) -> AdaptiveSolution:
     """Returns light in few Haar functions for every photograph and channel; a failed item is a status.
 
     kkt_residual of an item: with A and b weighted, v >= 0 the radiance on the leaves of its tree, D v = 0 the wavelets
     left out, l their multipliers and w = A'(b - A v) - D'l, the largest of max_j w_j / (|a_j| |b|),
     max_j -v_j |a_j| / |b|, sum_j |v_j w_j| / |b|^2 and the largest |D v|, scaled to the other three.
 
+    Args:
+        columns: of the scene. A `Transfer` must be as fine as max_resolution; `NodeColumns` cast what they lack.
+        observation: irradiance samples and weights.
+        settings: how to refine.
+
     Raises:
-        ShapeError: the transport has another resolution than the settings.
+        ShapeError: the columns have another resolution than the settings.
     """
-    if transfer.resolution != settings.max_resolution:
+    nodes = columns if isinstance(columns, NodeColumns) else NodeColumns(columns, settings.max_resolution)
+    if nodes.tree.resolution != settings.max_resolution:
         raise ShapeError(
-            f"adaptive: max_resolution is {settings.max_resolution}, the transport's {transfer.resolution}; "
-            "precompute the scene at max_resolution"
+            f"adaptive: max_resolution is {settings.max_resolution}, the columns' {nodes.tree.resolution}; "
+            "make them for these settings"
         )
-    matrix = transfer.transport
-    problem = LeastSquares(matrix, observation.samples.to(matrix), observation.weights.to(matrix))
-    tree = quadtree(settings.max_resolution, device=matrix.device)
+    one_column = nodes.dense[:1].T.to(observation.samples.dtype)
+    problem = LeastSquares(one_column, observation.samples, observation.weights.to(one_column))
     weights = photo_weights(problem)
-    samples = problem.samples.reshape(-1, *problem.samples.shape[-2:]).to(torch.float64)
+    samples = observation.samples.reshape(-1, *observation.samples.shape[-2:]).to(torch.float64)
     samples = torch.where(weights[:, None, :] > 0, samples, 0.0)
     status = initial_status(samples, weights)
-    found = torch.zeros(*status.shape, matrix.shape[1] + FIGURES, dtype=torch.float64, device=matrix.device)
-    found[..., matrix.shape[1] :] = torch.nan
-    steps = torch.zeros_like(status)
-    refinement = empty_refinement(tree, status)
-    for photo, columns in photos_with_columns(tree, matrix, weights, status):
-        noise = settings.noise * samples[photo][status[photo] == Status.CONVERGED].abs().max()
-        for channel in (status[photo] == Status.CONVERGED).nonzero()[:, 0].tolist():
-            scale = binary_scale(samples[photo, channel][None])[0]
-            item = make_item(columns, samples[photo, channel] / scale, (noise / scale).item())
-            grown = settings.rule.refine(item, Bounds(settings.budget, settings.condition_limit))
-            figures = certificate(item, grown.divided, grown.kept, grown.fitted)
-            found[photo, channel] = torch.cat([coefficients(tree, grown) * scale, figures])
-            steps[photo, channel] = grown.fitted.steps
-            converged = bool(figures[1] <= TOLERANCE)
-            status[photo, channel] = int(Status.CONVERGED if converged else Status.STOPPED_SHORT)
-            refinement.kept[photo, channel] = grown.kept
-            refinement.fate[photo, channel] = grown.fate
-            refinement.regions[photo, channel] = grown.fitted.leaves.shape[0]
-    return AdaptiveSolution(assemble(problem, found, status, steps), shaped(refinement, problem.samples.shape[:-1]))
+    outcome = unsolved(nodes, status)
+    for photos in blocks_of_photos(nodes, weights, status):
+        root = weights[photos[0]].sqrt()
+        solvable = status[photos] == Status.CONVERGED
+        targets = torch.where(solvable[..., None], samples[photos], 0.0)
+        scale = binary_scale(targets.flatten(start_dim=1))
+        brightest = targets.abs().amax(dim=(1, 2)) / scale[:, 0]
+        sigmas = torch.where(brightest > 0, settings.noise * brightest, 1.0)
+        group = Group(WeightedNodes(nodes, root), targets / scale[..., None] * root, sigmas)
+        found = settings.rule.refine(group, Bounds(settings.budget, settings.condition_limit))
+        put(outcome, photos, solvable, scaled(found, scale[..., None]))
+    converged = outcome.figures[..., 1] <= TOLERANCE
+    solved = status == Status.CONVERGED
+    status = torch.where(solved & ~converged, int(Status.STOPPED_SHORT), status)
+    return assembled(outcome, observation.samples, status)
 
 
-def photos_with_columns(
-    tree: Quadtree,
-    matrix: Float[Tensor, "points texels"],
-    weights: Float[Tensor, "photos points"],
-    status: Int[Tensor, "photos channels"],
-) -> Iterator[tuple[int, Columns]]:
-    """Yields every solvable photograph with the columns it shares with all of equal weights."""
+def blocks_of_photos(
+    nodes: NodeColumns, weights: Float[Tensor, "photos points"], status: Int[Tensor, "photos channels"]
+) -> Iterator[Int[Tensor, " block"]]:
+    """Yields the photographs that can be solved, those of equal weights together, as many as memory allows."""
+    dense = nodes.coarse.resolution == nodes.tree.resolution
+    most = max(1, ENTRIES_PER_BLOCK // (status.shape[1] * 3 * nodes.tree.resolution**2)) if dense else DEEP_PHOTOS
     for photos in by_weights(weights):
-        solvable = [photo for photo in photos.tolist() if bool((status[photo] == Status.CONVERGED).any())]
-        if solvable:
-            columns = scene_columns(tree, matrix, weights[solvable[0]].sqrt())
-            yield from ((photo, columns) for photo in solvable)
+        solvable = photos[(status[photos] == Status.CONVERGED).any(dim=1)]
+        if solvable.shape[0] > 0:
+            yield from solvable.split(most)
 
 
-def make_item(columns: Columns, samples: Float[Tensor, " points"], sigma: float) -> Item:
-    """Returns one channel of one photograph, ready to be fitted."""
-    target = samples * columns.root
-    return Item(columns, target, target @ columns.nodes, sigma)
+def unsolved(nodes: NodeColumns, status: Int[Tensor, "photos channels"]) -> Outcome:
+    """Returns what holds for items that fail: no light, no function in use."""
+    tree, device = nodes.tree, status.device
+    numbers = {"dtype": torch.float64, "device": device}
+    return Outcome(
+        coefficients=torch.zeros(*status.shape, 3 * tree.resolution**2, **numbers),
+        irradiance=torch.zeros(*status.shape, nodes.points, **numbers),
+        figures=torch.full((*status.shape, FIGURES), torch.nan, **numbers),
+        steps=torch.zeros_like(status),
+        kept=torch.zeros(*status.shape, 3 * tree.resolution**2, dtype=torch.bool, device=device),
+        fate=torch.full((*status.shape, tree.supports.shape[0]), int(Fate.UNSOLVED), dtype=torch.int8, device=device),
+        regions=torch.zeros_like(status),
+    )
 
 
-def coefficients(tree: Quadtree, grown: Grown) -> Float[Tensor, " coeffs"]:
-    """Returns the Haar coefficients, exactly 0 for functions not in use."""
-    return torch.where(grown.kept, grown.fitted.values @ leaf_wavelets(tree, grown.fitted.leaves), 0.0)
+def scaled(outcome: Outcome, scale: Float[Tensor, "photos 1 1"]) -> Outcome:
+    """Returns the outcome for targets multiplied by a scale."""
+    return replace(outcome, coefficients=outcome.coefficients * scale, irradiance=outcome.irradiance * scale)
 
 
-def empty_refinement(tree: Quadtree, status: Int[Tensor, "photos channels"]) -> Refinement:
-    """Returns what holds for items that fail: no function in use."""
-    kept = torch.zeros(*status.shape, 3 * tree.resolution**2, dtype=torch.bool, device=status.device)
-    fate = torch.full((*status.shape, tree.supports.shape[0]), int(Fate.UNSOLVED), device=status.device)
-    return Refinement(kept, fate, torch.zeros_like(status))
+def put(whole: Outcome, photos: Int[Tensor, " block"], solvable: Bool[Tensor, "block channels"], part: Outcome) -> None:
+    """Writes the outcome of some photographs into that of all, in place; channels that cannot be solved stay as is."""
+    photo, channel = solvable.nonzero(as_tuple=True)
+    for field in fields(Outcome):
+        getattr(whole, field.name)[photos[photo], channel] = getattr(part, field.name)[photo, channel]
 
 
-def shaped(refinement: Refinement, items: torch.Size) -> Refinement:
-    """Returns the decisions in the shape of the observation's batch."""
-    return Refinement(
-        kept=refinement.kept.reshape(*items, -1),
-        fate=refinement.fate.reshape(*items, -1),
-        regions=refinement.regions.reshape(items),
+def assembled(
+    outcome: Outcome, samples: Float[Tensor, "*batch channels points"], status: Int[Tensor, "photos channels"]
+) -> AdaptiveSolution:
+    """Returns the outcome in the shape and dtype of the samples."""
+    items = samples.shape[:-1]
+    found = torch.cat([outcome.coefficients, outcome.figures], dim=-1)
+    return AdaptiveSolution(
+        solution=assemble(samples, found, status, outcome.steps),
+        irradiance=outcome.irradiance.to(samples).reshape(*items, -1),
+        refinement=Refinement(
+            kept=outcome.kept.reshape(*items, -1),
+            fate=outcome.fate.reshape(*items, -1),
+            regions=outcome.regions.reshape(items),
+        ),
     )

@@ -15,7 +15,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchlight.inversion.quadtree import Quadtree, indicators, pyramid, spread
+from torchlight.errors import ConfigError
+from torchlight.inversion.nodes import DENSE_RESOLUTION, WeightedNodes
+from torchlight.inversion.quadtree import Quadtree, indicators, pyramid, spread, texel_nodes
 from torchlight.light import haar
 from torchlight.solvers.active_set import Limits, cholesky, minimize_nonnegative
 from torchlight.solvers.certificate import duality_gap, kkt_residual, nonzero_norm
@@ -36,7 +38,8 @@ class Columns:
     Attributes:
         tree: the nodes.
         root: square roots of the weights.
-        nodes: W^(1/2) A of every node, float64.
+        unweighted: A of every node, float64, one per row.
+        nodes: W^(1/2) A of every node.
         gram: inner products of these columns.
         norms: their lengths.
         wavelet_gram: inner products of the weighted columns of all Haar functions.
@@ -45,6 +48,7 @@ class Columns:
 
     tree: Quadtree
     root: Float[Tensor, " points"]
+    unweighted: Float[Tensor, "nodes points"]
     nodes: Float[Tensor, "points nodes"]
     gram: Float[Tensor, "nodes nodes"]
     norms: Float[Tensor, " nodes"]
@@ -52,20 +56,26 @@ class Columns:
     areas: Float[Tensor, " nodes"]
 
 
-def scene_columns(tree: Quadtree, transport: Float[Tensor, "points texels"], root: Float[Tensor, " points"]) -> Columns:
-    """Returns the columns of all nodes and their Gram matrices, from the texels' by pyramid sums."""
-    texels = transport.to(torch.float64) * root[:, None]
-    gram = texels.T @ texels
-    size = tree.resolution
-    nodes = pyramid(pyramid(gram, size).T.contiguous(), size)
+def scene_columns(weighted: WeightedNodes) -> Columns:
+    """Returns the columns of all squares and of all Haar functions, and their Gram matrices.
+
+    Raises:
+        ConfigError: some squares are not known: the tree goes deeper than the dense transport.
+    """
+    tree, size = weighted.source.tree, weighted.source.tree.resolution
+    if weighted.node.shape[0] < tree.size:
+        raise ConfigError(f"the paper's rule takes max_resolution at most {DENSE_RESOLUTION}, got {size}; 16 is usual")
+    texels = texel_nodes(tree)
+    texel_gram = weighted.gram[texels][:, texels]
     return Columns(
         tree=tree,
-        root=root,
-        nodes=pyramid(texels, size),
-        gram=nodes,
-        norms=nodes.diagonal().clamp(min=0).sqrt(),
-        wavelet_gram=haar.project(haar.project(gram, size).T.contiguous(), size),
-        areas=pyramid(torch.full_like(gram[0], 1 / gram.shape[0]), size),
+        root=weighted.root,
+        unweighted=weighted.source.dense,
+        nodes=weighted.columns.T,
+        gram=weighted.gram,
+        norms=weighted.gram.diagonal().clamp(min=0).sqrt(),
+        wavelet_gram=haar.project(haar.project(texel_gram, size).T.contiguous(), size),
+        areas=0.25 ** tree.level.to(torch.float64) / 3,
     )
 
 

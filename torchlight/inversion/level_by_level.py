@@ -9,8 +9,18 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchlight.errors import ConfigError
-from torchlight.inversion.gain import best
-from torchlight.inversion.leaf_program import RIDGE, Fitted, Item, fit, leaf_wavelets, texels_of
+from torchlight.geometry.threads import single_threaded
+from torchlight.inversion.leaf_program import (
+    RIDGE,
+    Fitted,
+    Item,
+    certificate,
+    fit,
+    leaf_wavelets,
+    scene_columns,
+    texels_of,
+)
+from torchlight.inversion.outcome import Group, Outcome, stacked
 from torchlight.inversion.quadtree import WAVELETS, Quadtree, pyramid
 from torchlight.inversion.refinement import (
     Bounds,
@@ -48,7 +58,20 @@ class LevelByLevel:
         if not 0.0 <= self.threshold < 1.0:
             raise ConfigError(f"LevelByLevel.threshold: expected a number in [0, 1), got {self.threshold}")
 
-    def refine(self, item: Item, bounds: Bounds) -> Grown:
+    def refine(self, group: Group, bounds: Bounds) -> Outcome:
+        """Returns the light, the functions in use and the certificates of every item of a group."""
+        photos, channels, points = group.targets.shape
+        sigmas = group.sigmas.repeat_interleave(channels).tolist()
+        with single_threaded():
+            columns = scene_columns(group.weighted)
+            outcomes = [
+                outcome(item, self.refine_item(item, bounds))
+                for target, sigma in zip(group.targets.reshape(-1, points), sigmas, strict=True)
+                for item in [Item(columns, target, target @ columns.nodes, sigma)]
+            ]
+        return stacked(outcomes, photos)
+
+    def refine_item(self, item: Item, bounds: Bounds) -> Grown:
         """Returns the tree, the functions in use and the light of one item.
 
         References:
@@ -152,3 +175,23 @@ def within_budget(
     fixed = constants(tree)
     order = best(torch.where(kept & ~fixed, squares, -1.0), min(budget, int(kept.sum())) - int(fixed.sum()))
     return fixed.index_fill(0, order, True)
+
+
+def best(values: Float[Tensor, " n"], count: int) -> Int[Tensor, " k"]:
+    """Returns the places of the largest values, the first of equal ones."""
+    return torch.sort(values, descending=True, stable=True).indices[: max(0, count)]
+
+
+def outcome(item: Item, grown: Grown) -> Outcome:
+    """Returns what was found for one item, as a photograph of one channel."""
+    columns, fitted = item.columns, grown.fitted
+    found = torch.where(grown.kept, fitted.values @ leaf_wavelets(columns.tree, fitted.leaves), 0.0)
+    return Outcome(
+        coefficients=found[None, None],
+        irradiance=(columns.unweighted[fitted.leaves].T @ fitted.values)[None, None],
+        figures=certificate(item, grown.divided, grown.kept, fitted)[None, None],
+        steps=torch.tensor([[fitted.steps]], device=found.device),
+        kept=grown.kept[None, None],
+        fate=grown.fate.to(torch.int8)[None, None],
+        regions=torch.tensor([[fitted.leaves.shape[0]]], device=found.device),
+    )

@@ -10,6 +10,7 @@ wavelets on the divided nodes only.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import torch
@@ -60,6 +61,7 @@ class Quadtree:
         return (covered & ~inner).nonzero()[:, 0]
 
 
+@functools.cache
 def quadtree(resolution: int, *, device: torch.device | str = "cpu") -> Quadtree:
     """Returns all nodes for an N x N cube map.
 
@@ -153,3 +155,29 @@ def indicators(tree: Quadtree, nodes: Int[Tensor, " leaves"]) -> Float[Tensor, "
     chosen = torch.zeros(nodes.shape[0], tree.size, dtype=torch.float64, device=nodes.device)
     chosen[torch.arange(nodes.shape[0], device=nodes.device), nodes] = 1.0
     return spread(chosen, tree.resolution)
+
+
+def within(coarse: Quadtree, fine: Quadtree) -> Int[Tensor, " nodes"]:
+    """Returns the node of the finer tree that is the same square, for every node of the coarser."""
+    sizes = torch.diff(torch.cat([coarse.roots, coarse.roots.new_tensor([coarse.size])]))
+    return torch.arange(coarse.size, device=coarse.level.device) + (fine.roots - coarse.roots).repeat_interleave(sizes)
+
+
+def squares(tree: Quadtree, nodes: Int[Tensor, " k"]) -> Int[Tensor, "k 4"]:
+    """Returns face, level, row and column of nodes: a square of 2^-level times the side of its face.
+
+    Rows count from the top and columns from the left of the whole face, as texels do.
+    """
+    root = torch.searchsorted(tree.roots, nodes, right=True) - 1
+    side = root < SIDE_ROOTS
+    depth = tree.level[nodes] - side.long()
+    place = nodes - tree.roots[root] - (4**depth - 1) // 3
+    row, column = place // 2**depth, place % 2**depth
+    column = column + torch.where(side, root % 2, 0) * 2**depth
+    return torch.stack([root // 2, tree.level[nodes], row, column], dim=-1)
+
+
+def texel_nodes(tree: Quadtree) -> Int[Tensor, " texels"]:
+    """Returns the node that is each texel of the finest level, in the order of texels."""
+    number = torch.arange(tree.size, dtype=torch.float64, device=tree.level.device)
+    return spread(torch.where(tree.support_of < 0, number, 0.0), tree.resolution).long()

@@ -93,9 +93,14 @@ def trios(tree: Quadtree, supports: Int[Tensor, " k"]) -> Int[Tensor, "k 3"]:
     return tree.trios[supports][:, None] + torch.arange(WAVELETS, device=supports.device)
 
 
+def all_trios(tree: Quadtree) -> Int[Tensor, "supports 3"]:
+    """Returns the coefficients of the wavelets of every support."""
+    return trios(tree, torch.arange(tree.supports.shape[0], device=tree.supports.device))
+
+
 def carrying(tree: Quadtree, kept: Bool[Tensor, " coeffs"]) -> Bool[Tensor, " supports"]:
     """Returns the supports with at least one wavelet in use."""
-    return kept[trios(tree, torch.arange(tree.supports.shape[0], device=kept.device))].any(dim=1)
+    return kept[all_trios(tree)].any(dim=1)
 
 
 def needed(tree: Quadtree, kept: Bool[Tensor, " coeffs"]) -> Bool[Tensor, " supports"]:

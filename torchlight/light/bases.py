@@ -20,7 +20,7 @@ from torchlight.errors import ConfigError
 from torchlight.light import cubemap, haar
 from torchlight.light.harmonics import real_spherical_harmonics
 
-MAX_RESOLUTION = 128
+MAX_RESOLUTION = 512
 MAX_DEGREE = 64
 VALUES_PER_BLOCK = 4_000_000
 
@@ -73,7 +73,7 @@ class Texels:
     """One coefficient per visible texel: its radiance.
 
     Attributes:
-        resolution: N, a power of two from 1 to 128.
+        resolution: N, a power of two from 1 to 512.
     """
 
     resolution: int
@@ -122,7 +122,7 @@ class SphericalHarmonics:
 
     Attributes:
         degree: the largest l kept, 0 to 64.
-        resolution: N, a power of two from 1 to 128.
+        resolution: N, a power of two from 1 to 512.
     """
 
     degree: int
@@ -177,7 +177,7 @@ class HaarCubemap:
     """Haar wavelets on the upper half of the cube map, orthonormal over unit face area (see `light.haar`).
 
     Attributes:
-        resolution: N, a power of two from 2 to 128.
+        resolution: N, a power of two from 2 to 512.
     """
 
     resolution: int

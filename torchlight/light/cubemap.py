@@ -162,17 +162,41 @@ def texel_cells(resolution: int, subsamples: int = 1, *, device: torch.device | 
 
     The shape is [texels, subsamples^2]; cells of a texel run row by row from its upper left corner.
     """
-    index = visible_texels(resolution, device=device)[:, None]
-    face = index // resolution**2
-    left = 2 * (index % resolution).double() / resolution - 1
-    top = 1 - 2 * (index // resolution % resolution).double() / resolution
-    bottom = top - 2 / resolution
+    return cut(whole_texels(resolution, device=device), subsamples)
+
+
+def whole_texels(resolution: int, *, device: torch.device | str = "cpu") -> Cells:
+    """Returns the visible part of every visible texel, [texels], in float64."""
+    index = visible_texels(resolution, device=device)
+    row, column = index // resolution % resolution, index % resolution
+    return _rectangles(index // resolution**2, row, column, torch.full_like(index, resolution))
+
+
+def square_cells(squares: Int[Tensor, "squares 4"]) -> Cells:
+    """Returns the visible part of squares (face, level, row, column), in float64: texels of a map of 2^level."""
+    face, level, row, column = squares.unbind(dim=1)
+    return _rectangles(face, row, column, 2**level)
+
+
+def _rectangles(
+    face: Int[Tensor, " cells"], row: Int[Tensor, " cells"], column: Int[Tensor, " cells"], edge: Int[Tensor, " cells"]
+) -> Cells:
+    """Returns the visible part of texels, each of a map with its own number of texels along an edge."""
+    left = 2 * column.double() / edge - 1
+    top = 1 - 2 * row.double() / edge
+    bottom = top - 2 / edge.double()
     bottom = torch.where(face == TOP_FACE, bottom, bottom.clamp(min=0.0))
-    cell = torch.arange(subsamples**2, device=device)
-    row, column = (cell // subsamples).double(), (cell % subsamples).double()
-    width, height = 2 / resolution / subsamples, (top - bottom) / subsamples
+    return Cells(face, left, left + 2 / edge.double(), bottom, top)
+
+
+def cut(cells: Cells, parts: int) -> Cells:
+    """Returns every cell cut into parts x parts equal ones, [cells, parts^2], row by row from its upper left corner."""
+    part = torch.arange(parts**2, device=cells.face.device)
+    row, column = (part // parts).double(), (part % parts).double()
+    left, top = cells.left[:, None], cells.top[:, None]
+    width, height = (cells.right[:, None] - left) / parts, (top - cells.bottom[:, None]) / parts
     return Cells(
-        face=face.expand(-1, subsamples**2),
+        face=cells.face[:, None].expand(-1, parts**2),
         left=left + column * width,
         right=left + (column + 1) * width,
         bottom=top - (row + 1) * height,

@@ -15,8 +15,11 @@ ROUNDING = 1e-6
 
 
 def map_height(basis: Basis) -> int:
-    """Returns the rows of the lat-long map written for a basis: half of max(512, 8 N) columns."""
-    return max(512, 8 * basis.resolution) // 2
+    """Returns the rows of the lat-long map written for a basis: half of 8 N columns, but at least 512.
+
+    Beyond 1024 columns 4 N are enough: a pixel is then as wide as a texel at the middle of a face.
+    """
+    return max(512, min(8 * basis.resolution, 1024), 4 * basis.resolution) // 2
 
 
 def synthesize(basis: Basis, coefficients: Float[Tensor, "*batch 3 coeffs"]) -> EnvironmentMap:

@@ -38,11 +38,11 @@ def nonnegative_certificate(system: System, x: Float[Tensor, "items coeffs"], ri
 
 
 def kkt_residual(
-    x: Float[Tensor, "items coeffs"],
-    w: Float[Tensor, "items coeffs"],
-    norms: Float[Tensor, "#items coeffs"],
-    size: Float[Tensor, " items"],
-) -> Float[Tensor, " items"]:
+    x: Float[Tensor, "*items coeffs"],
+    w: Float[Tensor, "*items coeffs"],
+    norms: Float[Tensor, "*#items coeffs"],
+    size: Float[Tensor, "*items"],
+) -> Float[Tensor, "*items"]:
     """Returns the largest violation of the optimality conditions of non-negative least squares, dimensionless.
 
     The largest of: max_j w_j / (|a_j| |b|) (dual feasibility), max_j -x_j |a_j| / |b| (primal feasibility) and
@@ -74,14 +74,24 @@ def duality_gap(
     is almost feasible: theta = t (r - s v) with v = W^(1/2) 1 and the smallest s >= 0 that makes it so, which exists if
     A'v > 0 in every non-zero column (a transport is non-negative); t >= 0 is optimal.
     """
-    v = system.root
-    v_columns = system.correlate(v)
+    return gap_along(system.targets, residual, w, norms, system.correlate(system.root), system.root)
+
+
+def gap_along(
+    targets: Float[Tensor, "*items points"],
+    residual: Float[Tensor, "*items points"],
+    w: Float[Tensor, "*items coeffs"],
+    norms: Float[Tensor, "*#items coeffs"],
+    v_columns: Float[Tensor, "*#items coeffs"],
+    v: Float[Tensor, "*#items points"],
+) -> Float[Tensor, "*items"]:
+    """Returns `duality_gap` from its parts: b, r, w, |a_j|, A'v and v."""
     positive = v_columns > 0
     s = torch.where(positive, w / torch.where(positive, v_columns, 1.0), 0.0).amax(dim=-1).clamp(min=0)
     exists = (s == 0) & (w <= 0).all(dim=-1) | (positive | (norms == 0)).all(dim=-1)
-    theta = residual - s[:, None] * v
-    size = nonzero_norm(system.targets)
-    along = (theta * system.targets).sum(-1).clamp(min=0) / nonzero_norm(theta)
+    theta = residual - s[..., None] * v
+    size = nonzero_norm(targets)
+    along = (theta * targets).sum(-1).clamp(min=0) / nonzero_norm(theta)
     # |b| scales both terms, so that the difference of squares is taken as a product and keeps its digits.
     primal = torch.linalg.vector_norm(residual, dim=-1) / size
     dual = along / size
@@ -89,7 +99,7 @@ def duality_gap(
     return torch.where(exists, gap, torch.nan)
 
 
-def nonzero_norm(vectors: Float[Tensor, "items points"]) -> Float[Tensor, " items"]:
+def nonzero_norm(vectors: Float[Tensor, "*items points"]) -> Float[Tensor, "*items"]:
     """Returns the length of each vector, 1 where it is 0."""
     norm = torch.linalg.vector_norm(vectors, dim=-1)
     return torch.where(norm > 0, norm, 1.0)

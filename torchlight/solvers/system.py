@@ -108,7 +108,7 @@ def solve_systems(
         found[photo, channel] = torch.cat([answer.coefficients * scale, figures], dim=-1)
         steps[photo, channel] = answer.steps
         status[photo, channel] = torch.where(answer.converged, int(Status.CONVERGED), int(Status.STOPPED_SHORT))
-    return assemble(problem, found, status, steps)
+    return assemble(problem.samples, found, status, steps)
 
 
 def by_weights(weights: Float[Tensor, "photos points"]) -> list[Tensor]:
@@ -149,18 +149,18 @@ def binary_scale(samples: Float[Tensor, "items points"]) -> Float[Tensor, "items
 
 
 def assemble(
-    problem: LeastSquares,
+    samples: Float[Tensor, "*batch channels points"],
     found: Float[Tensor, "photos channels columns_and_figures"],
     status: Int[Tensor, "photos channels"],
     steps: Int[Tensor, "photos channels"],
 ) -> Solution:
-    """Returns the solution in the problem's shape and dtype; an item that overflows there is NOT_FINITE."""
-    columns = problem.matrix.shape[1]
-    items = problem.samples.shape[:-1]
-    coefficients = found[..., :columns].to(problem.samples)
+    """Returns the solution in the shape and dtype of the samples; an item that overflows there is NOT_FINITE."""
+    columns = found.shape[-1] - 3
+    items = samples.shape[:-1]
+    coefficients = found[..., :columns].to(samples)
     overflow = ~torch.isfinite(coefficients).all(dim=-1)
     status = torch.where(overflow, int(Status.NOT_FINITE), status)
-    figures = torch.where(overflow[..., None], torch.nan, found[..., columns:]).to(problem.samples)
+    figures = torch.where(overflow[..., None], torch.nan, found[..., columns:]).to(samples)
     return Solution(
         coefficients=torch.where(overflow[..., None], 0.0, coefficients).reshape(*items, columns),
         status=status.reshape(items),

@@ -1,0 +1,204 @@
+"""How long the adaptive method takes per photograph, beside the same algorithm in a loop over SciPy.
+
+    python scripts/bench/adaptive.py [--data DIR] [--count 256]
+
+Photographs are RGB, 64 x 64 samples, 8-bit; at most 120 functions at 16 x 16 texels per face. The peer fits with
+scipy.optimize.nnls, given the Cholesky factor of the leaves' Gram matrix, and finds the gains with LAPACK through
+scipy.linalg; both start from the same Gram matrix and end with the same functions, which is checked. What the scene
+costs once is printed apart.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from photographs import photographs, scene
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import nnls
+from torch import Tensor
+from tqdm import tqdm
+
+from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
+from torchlight.inversion.gain import ProjectedGain
+from torchlight.inversion.growth import ALWAYS_ASKED, ASKED_ENERGY, LEAST_PRIOR, LEAST_REACH, PRUNED, REACH
+from torchlight.inversion.nodes import TEXEL, NodeColumns, WeightedNodes
+from torchlight.inversion.quadtree import Quadtree
+from torchlight.inversion.refinement import FLOOR, constants, trios
+from torchlight.photo.observation import Observation
+from torchlight.transfer import transport
+
+RESOLUTION, SAMPLES = 16, 64
+SIGNS = np.array([[1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]], dtype=float)
+RIDGE = 1e-12
+
+
+def main(data: Path | None = None, count: int = 256, peer: int = 6, out: Path | None = None) -> None:
+    """Prints the table, and writes it as CSV where --out names a file.
+
+    Args:
+        data: folder with probes/*.hdr to light the photographs with; default: the built-in sky, turned.
+        count: how many photographs.
+        peer: how many of them the SciPy loop solves.
+        out: CSV file to write.
+    """
+    where, settings = scene(SAMPLES), AdaptiveHaar(RESOLUTION, 120)
+    observation = photographs(where, count, data)
+    rows: list[dict[str, object]] = []
+    start = time.perf_counter()
+    columns = NodeColumns(transport(where, RESOLUTION, 192 // RESOLUTION), RESOLUTION)
+    once = time.perf_counter() - start
+    solve_adaptive(columns, part(observation, 1), settings)  # the compiler's work is not the solve's
+    threads = torch.get_num_threads()
+    print(f"{os.cpu_count()} processors, {threads} threads; transport of the scene {once:.2f} s, once")
+    for some in (count // 4, count // 2, count):
+        start = time.perf_counter()
+        found = solve_adaptive(columns, part(observation, some), settings)
+        seconds = time.perf_counter() - start
+        rows.append({"what": "torchlight", "photographs": some, "ms per photograph": 1e3 * seconds / some})
+    functions = found.refinement.functions.double().mean().item()
+    start = time.perf_counter()
+    same = agreement(columns, part(observation, peer), settings, found.refinement.kept)
+    scipy_ms = 1e3 * (time.perf_counter() - start) / peer
+    rows.append({"what": "SciPy loop", "photographs": peer, "ms per photograph": scipy_ms})
+    print("| what | photographs | ms per photograph (RGB) |\n| --- | --- | --- |")
+    for row in rows:
+        print(f"| {row['what']} | {row['photographs']} | {row['ms per photograph']:.1f} |")
+    ours = 1e3 * seconds / count
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"ratio {scipy_ms / ours:.0f}; {functions:.0f} functions per channel in the mean; same functions in {same}")
+    print(f"peak memory {peak:.1f} GiB")
+    if out is not None:
+        with out.open("w", newline="") as file:
+            writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+def part(observation: Observation, count: int) -> Observation:
+    """Returns the first photographs."""
+    return Observation(observation.samples[:count], observation.weights[:count])
+
+
+def agreement(columns: NodeColumns, observation: Observation, settings: AdaptiveHaar, kept: Tensor) -> str:
+    """Solves with SciPy, photograph by photograph and channel by channel; says how many end with the same functions."""
+    weighted = WeightedNodes(columns, observation.weights[0].sqrt())
+    items = [(photo, channel) for photo in range(observation.samples.shape[0]) for channel in range(3)]
+    same = 0
+    for photo, channel in tqdm(items, desc="SciPy", disable=not sys.stderr.isatty()):
+        sigma = settings.noise * float((observation.samples[photo] * observation.weights[photo]).abs().max())
+        target = observation.samples[photo, channel] * weighted.root
+        leaves = grow(weighted, (weighted.columns @ target).numpy(), sigma, settings)
+        same += int(torch.equal(kept[photo, channel], functions(columns.tree, torch.from_numpy(leaves))))
+    return f"{same} of {len(items)}"
+
+
+def functions(tree: Quadtree, leaves: Tensor) -> Tensor:
+    """Returns the constants and the wavelets of everything above the leaves."""
+    kept = constants(tree)
+    above = tree.parent[leaves]
+    while bool((above >= 0).any()):
+        above = above[above >= 0]
+        kept[trios(tree, tree.support_of[above]).reshape(-1)] = True
+        above = tree.parent[above]
+    return kept
+
+
+def grow(weighted: WeightedNodes, correlations: np.ndarray, sigma: float, settings: AdaptiveHaar) -> np.ndarray:
+    """Returns the leaves: best-first growth by projected gain, then pruning, by NumPy and SciPy."""
+    rule = settings.rule
+    assert isinstance(rule, ProjectedGain)
+    gram, children = weighted.gram.numpy(), weighted.children.numpy()
+    level = weighted.source.tree.level.numpy()
+    leaves = list(weighted.roots.tolist())
+    while True:
+        index = np.array(leaves)
+        values = fit(gram, correlations, index)
+        energy = values**2 * gram[index, index]
+        asked = (level[index] < ALWAYS_ASKED) | (energy >= ASKED_ENERGY * sigma**2)
+        candidates = ((children[index, 0] != TEXEL) & asked).nonzero()[0]
+        gain = gains(weighted, correlations, index, values, candidates, sigma, settings.condition_limit)
+        worthy, room = int((gain > rule.threshold).sum()), settings.budget + rule.spare
+        count = min(max(1, int(rule.share * len(leaves) / 3)), (room - len(leaves)) // 3, worthy)
+        if count <= 0:
+            return prune(gram, correlations, weighted.parent.numpy(), index, values, settings.budget)
+        for k in candidates[np.argsort(-gain, kind="stable")[:count]]:
+            quarters = children[leaves[k]]
+            leaves[k] = quarters[0]
+            leaves.extend(quarters[1:].tolist())
+
+
+def fit(gram: np.ndarray, correlations: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Returns the non-negative least squares radiance, from the Cholesky factor of the leaves' Gram matrix."""
+    norms = np.sqrt(gram[index, index])
+    factor = cholesky(gram[np.ix_(index, index)] / np.outer(norms, norms) + RIDGE * np.eye(len(index)))
+    return nnls(factor, solve_triangular(factor, correlations[index] / norms, trans=1))[0] / norms
+
+
+def prune(
+    gram: np.ndarray, correlations: np.ndarray, parent: np.ndarray, index: np.ndarray, values: np.ndarray, budget: int
+) -> np.ndarray:
+    """Returns the leaves after joining the quarters that explain least, a quarter of those too many at a time."""
+    while len(index) > budget:
+        above, counts = np.unique(parent[index], return_counts=True)
+        above = above[(counts == 4) & (above >= 0)]
+        quads = np.array([(parent[index] == node).nonzero()[0] for node in above])
+        w = correlations[index] - gram[np.ix_(index, index)] @ values
+        four = gram[index[quads][:, :, None], index[quads][:, None, :]]
+        slope = (w[quads] + np.einsum("qij,qj->qi", four, values[quads])).sum(axis=1)
+        step = np.maximum(slope / four.sum(axis=(1, 2)), 0.0)[:, None] - values[quads]
+        losses = np.einsum("qi,qij,qj->q", step, four, step) - 2 * (w[quads] * step).sum(axis=1)
+        missing = -(-(len(index) - budget) // 3)
+        chosen = np.argsort(losses, kind="stable")[: max(1, int(PRUNED * missing))]
+        stay = np.ones(len(index), dtype=bool)
+        for k in chosen:
+            index[quads[k, 0]] = above[k]
+            stay[quads[k, 1:]] = False
+        index = index[stay]
+        values = fit(gram, correlations, index)
+    return index
+
+
+def gains(
+    weighted: WeightedNodes,
+    correlations: np.ndarray,
+    index: np.ndarray,
+    values: np.ndarray,
+    candidates: np.ndarray,
+    sigma: float,
+    condition_limit: float,
+) -> np.ndarray:
+    """Returns the projected gain of every candidate, -1 where the photograph does not determine it."""
+    gram, children = weighted.gram.numpy(), weighted.children.numpy()
+    area = (0.25 ** weighted.source.tree.level.double() / 3).numpy()
+    used, amounts = index[values > 0], values[values > 0]
+    mean, here = float(values @ area[index]), values[candidates]
+    norms = np.sqrt(gram[used, used])
+    factor = cholesky(gram[np.ix_(used, used)] / np.outer(norms, norms) + RIDGE * np.eye(len(used)))
+    quarters = children[index[candidates]]
+    across = gram[used[:, None, None], quarters]
+    slopes = (correlations[quarters] - np.einsum("a,akq->kq", amounts, across)) @ SIGNS.T
+    projected = solve_triangular(factor, (across @ SIGNS.T / norms[:, None, None]).reshape(len(used), -1), trans=1)
+    projected = projected.reshape(len(used), -1, 3)
+    own = SIGNS @ gram[quarters[:, :, None], quarters[:, None, :]] @ SIGNS.T
+    innovation = own - np.einsum("akx,aky->kxy", projected, projected)
+    energy = own.diagonal(axis1=1, axis2=2).max(axis=1)
+    least = np.maximum((sigma / (condition_limit * (mean + here))) ** 2, FLOOR * energy)
+    sound = np.linalg.eigvalsh(innovation)[:, 0] > least
+    prior = (sigma / np.maximum(here, LEAST_PRIOR * mean)) ** 2
+    step = np.linalg.solve(innovation + prior[:, None, None] * np.eye(3), slopes[..., None])[..., 0]
+    largest, reach = np.abs(step).max(axis=1), REACH * np.maximum(here, LEAST_REACH * mean)
+    length = np.where(largest > reach, reach / largest, 1.0)
+    gain = (2 * length - length**2) * (slopes * step).sum(axis=1) / sigma**2
+    return np.where(sound, gain, -1.0)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,241 @@
+"""How fast the plane's visibility is found without rays, against ray casters on the same work.
+
+    python scripts/bench/visibility.py --data DIR [--out out/bench]
+
+Samples on [-2, 2]^2 and random directions above 1 degree: 9,216 x 256 and 65,536 x 1,024, for a block, a sphere of
+81,920 faces, and the bunny and the chair of DIR/meshes. Prints millions of rays per second, the best of three runs of
+each method, the ratio to embreex on as many threads, and how many answers differ from Embree's; writes
+OUT/visibility.csv. Mitsuba 3 (LLVM) and Open3D are asked where they can be imported. Preparation (welding, pairing,
+clusters; building a ray caster's tree) is not counted, and printed apart.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import torch
+import trimesh
+import tyro
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchlight.geometry.contours import scene_contours
+from torchlight.geometry.crossings import on_grid
+from torchlight.geometry.plane_visibility import hidden_samples
+from torchlight.geometry.receiver import Receiver, receiver_corners, receiver_points
+from torchlight.geometry.scene import Scene
+from torchlight.geometry.threads import ordered_map, thread_count
+from torchlight.geometry.visibility import LIFT, occlusion_test
+from torchlight.synthetic import Block, block_scene
+
+SIZES = ((96, 256), (256, 1024))
+LOWEST = math.sin(math.radians(1.0))
+RUNS = 3
+DIRECTIONS_PER_CALL = 64
+Method = Callable[[], Bool[np.ndarray, "directions points"]]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method on one scene: its speed, its preparation and where it disagrees with Embree."""
+
+    mesh: str
+    faces: int
+    samples: int
+    directions: int
+    hidden: float
+    method: str
+    prepared: float
+    seconds: float
+    different: int
+
+    @property
+    def speed(self) -> float:
+        """Millions of rays per second."""
+        return self.samples * self.directions / self.seconds / 1e6
+
+
+def main(data: Path | None = None, out: Path = Path("out/bench")) -> None:
+    """Prints a Markdown table and writes OUT/visibility.csv.
+
+    Args:
+        data: folder that holds meshes/stanford-bunny.obj and meshes/chair_model.obj.
+        out: where the CSV goes.
+    """
+    makers = {name: maker for name, maker in PEERS.items() if available(name)}
+    print(f"{os.cpu_count()} processors, {thread_count()} threads\n")
+    rows = []
+    for mesh, triangles in meshes(data).items():
+        for side, count in SIZES:
+            rows += measure(mesh, triangles, side, count, makers)
+    table(rows)
+    out.mkdir(parents=True, exist_ok=True)
+    with (out / "visibility.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow([*rows[0].__dict__, "million_rays_per_second"])
+        writer.writerows([[*row.__dict__.values(), f"{row.speed:.1f}"] for row in rows])
+
+
+def meshes(data: Path | None) -> dict[str, Float[Tensor, "faces 3 3"]]:
+    """Returns the occluders by name, each about 1.2 to 1.5 high and standing on the plane."""
+    sphere = torch.from_numpy(np.array(trimesh.creation.icosphere(subdivisions=6, radius=0.6).triangles))
+    found = {
+        "block": block_scene(Block((1.0, 0.6, 1.2), 20.0), Receiver((0.0, 0.0), (4.0, 4.0), (1, 1))).triangles,
+        "sphere": sphere + torch.tensor([0.0, 0.0, 0.6]),
+    }
+    if data is None:
+        print("no --data: the bunny and the chair are left out")
+        return found
+    for name, file in (("bunny", "stanford-bunny.obj"), ("chair", "chair_model.obj")):
+        triangles = np.array(trimesh.load_mesh(data / "meshes" / file, process=False).triangles, dtype=np.float64)
+        upright = np.stack([triangles[..., 0], -triangles[..., 2], triangles[..., 1]], axis=-1)
+        low, high = upright.min(axis=(0, 1)), upright.max(axis=(0, 1))
+        foot = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+        found[name] = torch.from_numpy((upright - foot) * (1.5 / (high - low).max()))
+    return found
+
+
+def measure(
+    mesh: str, triangles: Float[Tensor, "faces 3 3"], side: int, count: int, makers: dict[str, Callable[..., Method]]
+) -> list[Row]:
+    """Returns one row per method; Embree comes first, the others are compared with it."""
+    scene = Scene(triangles, Receiver((0.0, 0.0), (4.0, 4.0), (side, side)))
+    directions = upward(count)
+    rows, expected = [], np.zeros(0)
+    for name, make in makers.items():
+        start = time.perf_counter()
+        ask = make(scene, directions)
+        prepared = time.perf_counter() - start
+        found, seconds = best(ask)
+        expected = found if not rows else expected
+        different, share = int((found != expected).sum()), float(expected.mean())
+        rows.append(Row(mesh, len(triangles), side**2, count, share, name, prepared, seconds, different))
+    return rows
+
+
+def upward(count: int) -> Float[Tensor, "directions 3"]:
+    """Returns random unit directions, uniform in solid angle."""
+    generator = torch.Generator().manual_seed(1)
+    z = LOWEST + (1 - LOWEST) * torch.rand(count, generator=generator, dtype=torch.float64)
+    azimuth = 2 * math.pi * torch.rand(count, generator=generator, dtype=torch.float64)
+    radius = torch.sqrt(1 - z * z)
+    return torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), z], dim=1)
+
+
+def best(ask: Method) -> tuple[Bool[np.ndarray, "directions points"], float]:
+    """Returns the answer and the least time of a few runs after a first one, which compiles."""
+    found, least = ask(), math.inf
+    for _ in range(RUNS):
+        start = time.perf_counter()
+        found = ask()
+        least = min(least, time.perf_counter() - start)
+    return found, least
+
+
+def by_embree(scene: Scene, directions: Float[Tensor, "directions 3"]) -> Method:
+    """Embree through embreex, a thread pool over one scene."""
+    test, points = occlusion_test(scene.triangles, receiver_corners(scene.receiver)), receiver_points(scene.receiver)
+    parts, still = directions.numpy(), np.zeros((len(directions), 2))
+
+    def some(start: int) -> np.ndarray:
+        part = slice(start, start + DIRECTIONS_PER_CALL)
+        return test.hidden_on_plane(points, parts[part], still[part])
+
+    return lambda: np.concatenate(list(ordered_map(some, range(0, len(parts), DIRECTIONS_PER_CALL))))
+
+
+def by_contours(scene: Scene, directions: Float[Tensor, "directions 3"]) -> Method:
+    """Signed contour crossings."""
+    shape = on_grid(scene_contours(scene), scene.receiver, lines=1)
+    return lambda: hidden_samples(shape, directions).numpy()
+
+
+def rays(scene: Scene, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns origins and directions, float32, [directions x points, 3]."""
+    points = receiver_points(scene.receiver) + np.array([0.0, 0.0, 4.0 * LIFT])
+    return np.tile(points, (len(part), 1)).astype(np.float32), np.repeat(part, len(points), axis=0).astype(np.float32)
+
+
+def by_mitsuba(scene: Scene, directions: Float[Tensor, "directions 3"]) -> Method:
+    """Mitsuba 3 `ray_test` in its LLVM variant, all of its threads."""
+    import drjit
+    import mitsuba
+
+    mesh = mitsuba.Mesh("occluder", 3 * len(scene.triangles), len(scene.triangles))
+    parameters = mitsuba.traverse(mesh)
+    parameters["vertex_positions"] = scene.triangles.float().reshape(-1).numpy()
+    parameters["faces"] = np.arange(3 * len(scene.triangles), dtype=np.uint32)
+    parameters.update()
+    loaded = mitsuba.load_dict({"type": "scene", "occluder": mesh})
+    points, count = receiver_points(scene.receiver), scene.receiver.points
+    places = [mitsuba.Float(points[:, k].astype(np.float32)) for k in range(2)]
+
+    def some(part: np.ndarray) -> np.ndarray:
+        index = drjit.arange(mitsuba.UInt32, count * len(part))
+        sample, number = index % count, index // count
+        origin = mitsuba.Point3f(*(drjit.gather(mitsuba.Float, place, sample) for place in places), 4.0 * LIFT)
+        axes = [mitsuba.Float(part[:, k].astype(np.float32)) for k in range(3)]
+        towards = mitsuba.Vector3f(*(drjit.gather(mitsuba.Float, axis, number) for axis in axes))
+        return np.array(loaded.ray_test(mitsuba.Ray3f(origin, towards))).reshape(len(part), count)
+
+    step = max(1, 2**24 // count)
+    return lambda: np.concatenate([some(directions[k : k + step].numpy()) for k in range(0, len(directions), step)])
+
+
+def by_open3d(scene: Scene, directions: Float[Tensor, "directions 3"]) -> Method:
+    """Open3D's RaycastingScene."""
+    caster = import_module("open3d").t.geometry.RaycastingScene()
+    corners = scene.triangles.float().reshape(-1, 3).numpy()
+    caster.add_triangles(corners, np.arange(len(corners), dtype=np.uint32).reshape(-1, 3))
+
+    def some(part: np.ndarray) -> np.ndarray:
+        origins, towards = rays(scene, part)
+        return caster.test_occlusions(np.concatenate([origins, towards], axis=1)).numpy().reshape(len(part), -1)
+
+    return lambda: np.concatenate([some(part.numpy()) for part in directions.split(DIRECTIONS_PER_CALL)])
+
+
+PEERS = {"embreex": by_embree, "contours": by_contours, "Mitsuba LLVM": by_mitsuba, "Open3D": by_open3d}
+
+
+def available(name: str) -> bool:
+    """Returns whether a method can be imported here; says so where it cannot."""
+    try:
+        if name == "Mitsuba LLVM":
+            import mitsuba
+
+            mitsuba.set_variant("llvm_ad_rgb")
+            import drjit
+
+            drjit.eval(mitsuba.Float([1.0]) + 1.0)
+        if name == "Open3D":
+            import_module("open3d")
+    except Exception as error:  # noqa: BLE001  (whatever keeps a peer from running is told)
+        print(f"{name} is left out: {str(error).splitlines()[0]}")
+        return False
+    return True
+
+
+def table(rows: list[Row]) -> None:
+    """Prints the rows as a Markdown table."""
+    print("\n| mesh | faces | samples x directions | hidden | method | Mray/s | / embreex | prepared, s | differ |")
+    print("| --- | ---: | --- | ---: | --- | ---: | ---: | ---: | ---: |")
+    base = {(r.mesh, r.samples): r.speed for r in rows if r.method == "embreex"}
+    for r in rows:
+        size, ratio = f"{r.samples:,} x {r.directions:,}", r.speed / base[r.mesh, r.samples]
+        print(
+            f"| {r.mesh} | {r.faces:,} | {size} | {r.hidden:.1%} | {r.method} | {r.speed:.0f} | {ratio:.1f} | "
+            f"{r.prepared:.2f} | {r.different:,} |"
+        )
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,171 @@
+"""Which Haar functions an adaptive solve uses and why no others: a picture of the cube's faces and a table per level.
+
+The five faces are shown unfolded, seen from inside, as in docs/conventions.md: the upper halves of +y, +x, -y, -x
+side by side, and +z above +x, whose top edge it shares.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+from torch import Tensor
+
+from torchlight.figures import png_bytes
+from torchlight.inversion.quadtree import Quadtree, quadtree, spread, squares
+from torchlight.inversion.refinement import Fate, Refinement, needed
+from torchlight.light import cubemap
+
+COLOURS = {  # after Okabe and Ito: told apart with every common colour blindness, and in grey
+    Fate.RESOLVED: "#0072B2",
+    Fate.BELOW_THRESHOLD: "#F3EFD8",
+    Fate.ILL_CONDITIONED: "#E69F00",
+    Fate.UNSEEN: "#2B2B2B",
+    Fate.LIMIT: "#CC79A7",
+    Fate.UNSOLVED: "#009E73",
+}
+NAMES = {
+    Fate.RESOLVED: "resolved",
+    Fate.BELOW_THRESHOLD: "below threshold",
+    Fate.ILL_CONDITIONED: "ill-conditioned",
+    Fate.UNSEEN: "unseen",
+    Fate.LIMIT: "limit",
+    Fate.UNSOLVED: "unsolved",
+}
+CHANNELS = ("red", "green", "blue")
+PLACES = {"+y": 0, "+x": 1, "-y": 2, "-x": 3, "+z": 1}  # faces to the left of each
+WIDTH, HEIGHT, SIDE_TOP = 4.0, 1.5, 0.5
+
+
+def fates_picture(refinement: Refinement, resolution: int) -> bytes:
+    """Returns a PNG of the faces per channel: squares of constant light, coloured by why they are not finer.
+
+    A square whose smallest support is in use is RESOLVED. The table of `fate_counts` stands below.
+
+    Args:
+        refinement: of one photograph.
+        resolution: texels along a face's edge, as the solve's `max_resolution`.
+    """
+    tree = quadtree(resolution)
+    channels = refinement.kept.shape[0]
+    figure = Figure(figsize=(11.0, 3.1 * channels), dpi=110, layout="constrained")
+    axes = figure.subplots(channels, 2, squeeze=False, width_ratios=(1.5, 1.0))
+    for channel, (faces, counts) in enumerate(axes):
+        kept, fate = refinement.kept[channel].cpu(), refinement.fate[channel].cpu()
+        draw_fates(faces, tree, kept, fate)
+        regions = int(refinement.regions[channel])
+        name = CHANNELS[channel] if channels == len(CHANNELS) else f"channel {channel}"
+        faces.set_title(f"{name}: {int(kept.sum())} functions, {regions} squares", fontsize=10)
+        draw_counts(counts, fate_counts(tree, kept, fate))
+    shown = {Fate(value) for value in refinement.fate.unique().tolist()}
+    handles = [Patch(facecolor=COLOURS[fate], edgecolor="0.4", label=NAMES[fate]) for fate in Fate if fate in shown]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=9, frameon=False)
+    return png_bytes(figure)
+
+
+def draw_fates(axis: Axes, tree: Quadtree, kept: Bool[Tensor, " coeffs"], fate: Int[Tensor, " supports"]) -> None:
+    """Draws the fates of one channel and the borders of the squares on which its light is constant."""
+    colours = ListedColormap([COLOURS[value] for value in Fate])
+    limits = BoundaryNorm(np.arange(len(Fate) + 1) - 0.5, len(Fate))
+    shown = unfolded(texel_fates(tree, fate).double(), tree.resolution).numpy()
+    axis.imshow(shown, extent=(0, WIDTH, 0, HEIGHT), cmap=colours, norm=limits, interpolation="nearest")
+    draw_leaves(axis, tree, kept)
+    label_faces(axis)
+
+
+def draw_leaves(axis: Axes, tree: Quadtree, kept: Bool[Tensor, " coeffs"], colour: str = "0.35") -> None:
+    """Draws the borders of the squares on which a light of these Haar functions is constant."""
+    leaves = tree.leaves(needed(tree, kept))
+    axis.add_collection(LineCollection(list(outlines(tree, leaves).numpy()), colors=colour, linewidths=0.4))
+
+
+def draw_counts(axis: Axes, counts: Int[Tensor, "levels fates"]) -> None:
+    """Writes how many supports of each level met which fate."""
+    axis.set_axis_off()
+    fates = [fate for fate in Fate if int(counts[:, fate].sum()) > 0]
+    head = ["level", *(NAMES[fate].replace(" ", "\n", 1).replace("-", "-\n") for fate in fates)]
+    text = [[str(level), *(str(int(counts[level, fate])) for fate in fates)] for level in range(len(counts))]
+    table = axis.table(cellText=[head, *text], loc="center", cellLoc="center", edges="horizontal")
+    table.auto_set_font_size(False)
+    table.set_fontsize(8)
+    for (row, _), cell in table.get_celld().items():
+        cell.set_height(0.16 if row == 0 else 0.09)
+        cell.set_edgecolor("0.8")
+
+
+def fate_counts(
+    tree: Quadtree, kept: Bool[Tensor, " coeffs"], fate: Int[Tensor, " supports"]
+) -> Int[Tensor, "levels fates"]:
+    """Returns the number of supports per level and `Fate` that were asked: the roots, and quarters of divided ones.
+
+    Level j holds squares of 2^-j times a face's side; side faces begin at level 1 with their upper half. Supports
+    within an undivided one share its fate and are not counted.
+    """
+    divided = torch.zeros_like(tree.level, dtype=torch.bool)
+    divided[tree.supports] = needed(tree, kept)
+    parent = tree.parent[tree.supports]
+    asked = (parent < 0) | divided[parent.clamp(min=0)]
+    levels = int(tree.level.max())
+    index = tree.level[tree.supports][asked] * len(Fate) + fate[asked]
+    return torch.bincount(index, minlength=levels * len(Fate)).reshape(levels, len(Fate))
+
+
+def texel_fates(tree: Quadtree, fate: Int[Tensor, " supports"]) -> Int[Tensor, " texels"]:
+    """Returns for every visible texel the fate of the smallest support that holds it."""
+    smallest = (tree.level[tree.supports] == tree.level.max() - 1).nonzero()[:, 0]
+    values = torch.zeros(tree.size, dtype=torch.float64)
+    values[tree.supports[smallest]] = fate[smallest].double()
+    return spread(values, tree.resolution).round().long()
+
+
+# --- the unfolded faces --------------------------------------------------------------------------------------------
+
+
+def unfolded(texels: Float[Tensor, "*batch texels"], resolution: int) -> Float[Tensor, "*batch rows columns"]:
+    """Returns the five faces as one picture of 3 N / 2 rows and 4 N columns, NaN where no face is."""
+    faces = cubemap.scatter_to_faces(texels, resolution)
+    half = resolution // 2
+    picture = torch.full((*texels.shape[:-1], 3 * half, 4 * resolution), torch.nan, dtype=texels.dtype)
+    for face, name in enumerate(cubemap.FACES[: cubemap.PLANE_FACES]):
+        left = PLACES[name] * resolution
+        top, rows = (0, resolution) if face == cubemap.TOP_FACE else (resolution, half)
+        picture[..., top : top + rows, left : left + resolution] = faces[..., face, :rows, :]
+    return picture
+
+
+def outlines(tree: Quadtree, nodes: Int[Tensor, " nodes"]) -> Float[Tensor, "nodes 5 2"]:
+    """Returns the closed border of squares on the unfolded faces: x to the right, y up, faces of side 1."""
+    face, level, row, column = squares(tree, nodes).unbind(dim=-1)
+    side = 2.0 ** -level.double()
+    places = torch.tensor([PLACES[name] for name in cubemap.FACES[: cubemap.PLANE_FACES]])
+    left = places[face] + column * side
+    top = torch.where(face == cubemap.TOP_FACE, HEIGHT, SIDE_TOP) - row * side
+    x = torch.stack([left, left + side, left + side, left, left], dim=-1)
+    y = torch.stack([top, top, top - side, top - side, top], dim=-1)
+    return torch.stack([x, y], dim=-1)
+
+
+def label_faces(axis: Axes) -> None:
+    """Frames and names the faces, and takes the axes away."""
+    for name, left in PLACES.items():
+        bottom, height = (SIDE_TOP, 1.0) if name == "+z" else (0.0, SIDE_TOP)
+        axis.add_patch(Rectangle((left, bottom), 1, height, fill=False, edgecolor="black", linewidth=0.9))
+        below = name != "+z"
+        axis.annotate(
+            name,
+            (left + (0.5 if below else 0.0), bottom + (0.0 if below else 0.5)),
+            (0, -3) if below else (-4, 0),
+            textcoords="offset points",
+            ha="center" if below else "right",
+            va="top" if below else "center",
+            fontsize=8,
+        )
+    axis.set_xlim(-0.02, WIDTH + 0.02)
+    axis.set_ylim(-0.12, HEIGHT + 0.02)
+    axis.set_aspect("equal")
+    axis.set_axis_off()

@@ -1,0 +1,172 @@
+"""How much of every sample the occluders hide, without a ray: contour crossings on the receiver's grid.
+
+The number of sheets over a plane point (`geometry.contours`) changes only where a contour's projection is crossed.
+Along a line of the grid the crossings, sorted by x, bound the hidden intervals: one begins where the number leaves 0
+and ends where it returns. The share of each footprint that they cover is exact.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from importlib import import_module
+from types import ModuleType
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchlight.errors import TorchlightWarning
+from torchlight.geometry import contour_twin
+from torchlight.geometry.contours import Contours
+from torchlight.geometry.receiver import Receiver
+
+UNIT = 2.0**56  # integer weights of a square add up to this
+FIELDS = 15  # of an edge in the kernel's tables
+
+
+@dataclass(frozen=True, eq=False)
+class Rectangles:
+    """Directions in s x s equal cells of rectangles on a plane, `center + a right + b up` with |a|, |b| <= 1.
+
+    Attributes:
+        center: of each rectangle.
+        right: half its width.
+        up: half its height.
+        directions: unit, with z > 0, row by row from the upper left.
+        weights: of the directions.
+        shifts: where in its stratum each direction's lines lie, in [0, 1).
+    """
+
+    center: Float[Tensor, "squares 3"]
+    right: Float[Tensor, "squares 3"]
+    up: Float[Tensor, "squares 3"]
+    directions: Float[Tensor, "squares s s 3"]
+    weights: Float[Tensor, "squares s s"]
+    shifts: Float[Tensor, "squares s s"]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The receiver's coordinates: x in columns of samples, y in lines, z in the scene's unit.
+
+    Attributes:
+        corner: x and y of the receiver's lower left corner, in the scene's unit.
+        scale: columns and lines per unit of length.
+        columns: samples in x.
+        lines: per row of samples.
+        rows: of samples.
+    """
+
+    corner: tuple[float, float]
+    scale: tuple[float, float]
+    columns: int
+    lines: int
+    rows: int
+
+    def places(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Returns points in the grid's coordinates."""
+        return self.directions(points - np.array([*self.corner, 0.0]))
+
+    def directions(self, vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Returns vectors in the grid's coordinates."""
+        return vectors * np.array([*self.scale, 1.0])
+
+    def normals(self, normals: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Returns normals of any length in the grid's coordinates: n . d stays what it is."""
+        return normals / np.array([*self.scale, 1.0])
+
+    def slopes(self, directions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
+        """Returns dx / dz and dy / dz in the grid's coordinates."""
+        return np.ascontiguousarray(self.directions(directions)[..., :2] / directions[..., 2:])
+
+
+def receiver_grid(receiver: Receiver, lines: int) -> Grid:
+    """Returns the grid of a receiver with so many lines per row of samples."""
+    (x, y), (width, height) = receiver.center, receiver.size
+    step_x, step_y = receiver.footprint
+    columns, rows = receiver.samples
+    return Grid((x - width / 2, y - height / 2), (1 / step_x, lines / step_y), columns, lines, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class GridContours:
+    """The contours on a receiver's grid, as the kernel reads them.
+
+    Attributes:
+        contours: the edges, in the scene's unit.
+        grid: the receiver's coordinates.
+        table: a column per edge: two ends, two normals (an open edge has its one twice), two sides, room for n_e.
+    """
+
+    contours: Contours
+    grid: Grid
+    table: Float[np.ndarray, "fields room"]
+
+
+def on_grid(contours: Contours, receiver: Receiver, lines: int) -> GridContours:
+    """Returns contours on a receiver's grid.
+
+    Args:
+        contours: of the occluders.
+        receiver: whose samples are asked.
+        lines: per row of samples; along them shares are exact, over them they are a mean.
+    """
+    grid, count = receiver_grid(receiver, lines), len(contours.ends)
+    normals = grid.normals(contours.normals)
+    normals[:, 1] = np.where(contours.sides[:, 1:] == 0, normals[:, 0], normals[:, 1])
+    table = np.zeros((FIELDS, count // 512 * 512 + 552))  # rows fall into different sets of the processor's cache
+    table[:6, :count] = grid.places(contours.ends).reshape(count, 6).T
+    table[6:12, :count] = normals.reshape(count, 6).T
+    table[12:14, :count] = contours.sides.T
+    return GridContours(contours, grid, table)
+
+
+def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tensor, "squares points"]:
+    """Returns the sum over each rectangle's directions of weight x visible share of every footprint, float64."""
+    contours, grid = shape.contours, shape.grid
+    slopes, shifts = grid.slopes(rectangles.directions.numpy()), rectangles.shifts.numpy()
+    scales = rectangles.weights.sum(dim=(1, 2))
+    kernel = compiled_kernel()
+    if kernel is None:
+        size = (grid.rows, grid.columns, grid.lines)
+        faces, weights = grid.places(contours.faces), rectangles.weights.numpy()
+        return torch.from_numpy(contour_twin.visible_integrals(faces, slopes, shifts, weights, size))
+    result = np.empty((len(scales), grid.rows * grid.columns))
+    kernel.visible_integrals(
+        contours.first,
+        contours.axes,
+        contours.spread,
+        shape.table,
+        cones(rectangles).numpy(),
+        grid.directions(torch.stack([rectangles.center, rectangles.right, rectangles.up], dim=1).numpy()),
+        slopes,
+        shifts,
+        (rectangles.weights / scales[:, None, None] * (UNIT / grid.lines)).round().long().numpy(),
+        scales.numpy(),
+        grid.columns,
+        grid.lines,
+        result,
+    )
+    return torch.from_numpy(result)
+
+
+def compiled_kernel() -> ModuleType | None:
+    """Returns the compiled kernel, or None with a warning where numba has no wheel: the twin is the stated fallback."""
+    try:
+        return import_module("torchlight.geometry.contour_kernel")
+    except ImportError:
+        message = "numba is not installed: shadows are found by the slow twin of the compiled kernel"
+        warnings.warn(message, TorchlightWarning, stacklevel=3)
+        return None
+
+
+def cones(rectangles: Rectangles) -> Float[Tensor, "squares 4"]:
+    """Returns the unit axis and the half angle, in radians, of a cone about each rectangle."""
+    axis = torch.nn.functional.normalize(rectangles.center, dim=-1)
+    signs = [(a, b) for a in (-1, 1) for b in (-1, 1)]
+    corners = torch.stack([rectangles.center + a * rectangles.right + b * rectangles.up for a, b in signs], dim=1)
+    sine = torch.linalg.vector_norm(torch.linalg.cross(axis[:, None].expand_as(corners), corners, dim=-1), dim=-1)
+    angle = torch.atan2(sine, (corners * axis[:, None]).sum(dim=-1)).amax(dim=1)
+    return torch.cat([axis, angle[:, None]], dim=1)
