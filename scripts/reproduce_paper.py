@@ -26,7 +26,7 @@ from pathlib import Path
 
 import tyro
 from paper import pictures, tables
-from paper.measure import AllColumns, Row, Transfers, all_columns, measure, precomputed
+from paper.measure import AllColumns, Row, Transfers, all_columns, measure, precomputed, warm_up
 from paper.methods import METHODS, Found
 from paper.setting import Exposed, exposed, probe_files
 from paper.truth import Agreement, Truth, available, truths
@@ -68,6 +68,7 @@ def main(
     chosen = available(truth)
     transfers = precomputed(METHODS)
     columns = all_columns(METHODS, transfers)
+    warm_up(transfers, columns)
     results = Results()
     lights = {}
     for path in files:

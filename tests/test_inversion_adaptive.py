@@ -196,7 +196,7 @@ def test_output_has_the_dtype_of_the_samples(shadow: Transfer) -> None:
 def test_what_is_used_where_nothing_is_said() -> None:
     settings = AdaptiveHaar()
     assert (settings.max_resolution, settings.budget, settings.dense_resolution) == (128, 450, 16)
-    assert settings.rule == named_rule("gain") == ProjectedGain(threshold=8.0, share=0.1, spare=18, shared=False)
+    assert settings.rule == named_rule("gain") == ProjectedGain(threshold=8.0, share=0.05, spare=18, shared=False)
     assert named_rule("paper") == LevelByLevel()
     assert settings.noise == pytest.approx(0.4 / 255)
     assert settings.basis.resolution == 128

@@ -18,6 +18,9 @@ from torchlight import metrics
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.footprints import visible_samples
 from torchlight.geometry.receiver import Receiver
+from torchlight.inversion.quadtree import quadtree
+from torchlight.inversion.refinement import Refinement, constants
+from torchlight.light import haar
 from torchlight.light.bases import SphericalHarmonics, Texels
 from torchlight.light.environment import EnvironmentMap, irradiance
 from torchlight.light.formats import to_y_up
@@ -213,14 +216,21 @@ def test_quarters_are_disjoint_and_cover_the_receiver() -> None:
 # --- relighting and tables -----------------------------------------------------------------------------------------
 
 
-def test_texel_by_texel_relighting_is_the_light_s_own_shadow() -> None:
-    coefficients = torch.zeros(3, 768)
-    coefficients[0, 37], coefficients[1, 400], coefficients[2, 600] = 1.0, 2.0, 3.0
-    exact = block_values(BLOCK, setting.RECEIVER, pixel_rays(synthesize(Texels(16), coefficients)))
-    found = measure.relit_by_texels(BLOCK, Texels(16), coefficients)
+def test_relighting_by_squares_is_the_light_s_own_shadow() -> None:
+    """A bright texel in the second level below the transport, one at its level, and a whole face."""
+    texels = torch.zeros(3, 3072, dtype=torch.float64)
+    texels[0, 5 * 128 + 37] = 1.0
+    texels[1, :2048].reshape(16, 4, 32)[6:8, 1, 10:12] = 2.0
+    texels[2, 2048:] = 3.0
+    coefficients = haar.analysis(texels, 32)
+    kept = (coefficients != 0) | constants(quadtree(32))
+    fate = torch.zeros(3, len(quadtree(32).supports))
+    refinement = Refinement(kept, fate.long(), torch.zeros(3).long())
+    exact = block_values(BLOCK, setting.RECEIVER, pixel_rays(synthesize(Texels(32), texels.float())))
+    found = measure.relit_by_squares(measure.pose_columns(BLOCK, 32), coefficients, refinement) / torch.pi
     used = torch.ones(4096)
     for k in range(3):
-        assert metrics.rms_255(found[k, None], exact[k, None].float(), used).item() < 1.0
+        assert metrics.rms_255(found[k, None].float(), exact[k, None].float(), used).item() < 1.0
 
 
 def row(method: str, family: Any, error: float) -> Any:

@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
 from torchlight.inversion.gain import ProjectedGain
-from torchlight.inversion.growth import ALWAYS_ASKED, ASKED_ENERGY, LEAST_PRIOR, LEAST_REACH, PRUNED, REACH
+from torchlight.inversion.growth import ALWAYS_ASKED, ASKED_ENERGY, LEAST_PRIOR, LEAST_REACH, REACH
 from torchlight.inversion.nodes import TEXEL, NodeColumns, WeightedNodes
 from torchlight.inversion.quadtree import Quadtree
 from torchlight.inversion.refinement import FLOOR, constants, trios
@@ -112,7 +112,7 @@ def functions(tree: Quadtree, leaves: Tensor) -> Tensor:
 
 
 def grow(weighted: WeightedNodes, correlations: np.ndarray, sigma: float, settings: AdaptiveHaar) -> np.ndarray:
-    """Returns the leaves: best-first growth by projected gain, then pruning, by NumPy and SciPy."""
+    """Returns the leaves: best-first growth by projected gain, by NumPy and SciPy."""
     rule = settings.rule
     assert isinstance(rule, ProjectedGain)
     gram, children = weighted.gram.numpy(), weighted.children.numpy()
@@ -125,10 +125,10 @@ def grow(weighted: WeightedNodes, correlations: np.ndarray, sigma: float, settin
         asked = (level[index] < ALWAYS_ASKED) | (energy >= ASKED_ENERGY * sigma**2)
         candidates = ((children[index, 0] != TEXEL) & asked).nonzero()[0]
         gain = gains(weighted, correlations, index, values, candidates, sigma, settings.condition_limit)
-        worthy, room = int((gain > rule.threshold).sum()), settings.budget + rule.spare
-        count = min(max(1, int(rule.share * len(leaves) / 3)), (room - len(leaves)) // 3, worthy)
+        worthy = int((gain > rule.threshold).sum())
+        count = min(max(1, int(rule.share * len(leaves) / 3)), (settings.budget - len(leaves)) // 3, worthy)
         if count <= 0:
-            return prune(gram, correlations, weighted.parent.numpy(), index, values, settings.budget)
+            return index
         for k in candidates[np.argsort(-gain, kind="stable")[:count]]:
             quarters = children[leaves[k]]
             leaves[k] = quarters[0]
@@ -140,30 +140,6 @@ def fit(gram: np.ndarray, correlations: np.ndarray, index: np.ndarray) -> np.nda
     norms = np.sqrt(gram[index, index])
     factor = cholesky(gram[np.ix_(index, index)] / np.outer(norms, norms) + RIDGE * np.eye(len(index)))
     return nnls(factor, solve_triangular(factor, correlations[index] / norms, trans=1))[0] / norms
-
-
-def prune(
-    gram: np.ndarray, correlations: np.ndarray, parent: np.ndarray, index: np.ndarray, values: np.ndarray, budget: int
-) -> np.ndarray:
-    """Returns the leaves after joining the quarters that explain least, a quarter of those too many at a time."""
-    while len(index) > budget:
-        above, counts = np.unique(parent[index], return_counts=True)
-        above = above[(counts == 4) & (above >= 0)]
-        quads = np.array([(parent[index] == node).nonzero()[0] for node in above])
-        w = correlations[index] - gram[np.ix_(index, index)] @ values
-        four = gram[index[quads][:, :, None], index[quads][:, None, :]]
-        slope = (w[quads] + np.einsum("qij,qj->qi", four, values[quads])).sum(axis=1)
-        step = np.maximum(slope / four.sum(axis=(1, 2)), 0.0)[:, None] - values[quads]
-        losses = np.einsum("qi,qij,qj->q", step, four, step) - 2 * (w[quads] * step).sum(axis=1)
-        missing = -(-(len(index) - budget) // 3)
-        chosen = np.argsort(losses, kind="stable")[: max(1, int(PRUNED * missing))]
-        stay = np.ones(len(index), dtype=bool)
-        for k in chosen:
-            index[quads[k, 0]] = above[k]
-            stay[quads[k, 1:]] = False
-        index = index[stay]
-        values = fit(gram, correlations, index)
-    return index
 
 
 def gains(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -15,9 +14,11 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchlight import metrics
-from torchlight.geometry.analytic_shadow import Block, block_irradiance
-from torchlight.light import cubemap
-from torchlight.light.bases import Basis
+from torchlight.geometry.analytic_shadow import Block
+from torchlight.inversion.nodes import DENSE_RESOLUTION, NodeColumns
+from torchlight.inversion.quadtree import pyramid
+from torchlight.inversion.refinement import Refinement, needed
+from torchlight.light import haar
 from torchlight.photo.observation import Observation
 from torchlight.pipeline import Columns, deepened, precompute
 from torchlight.relighting import irradiance
@@ -26,10 +27,9 @@ from torchlight.synthetic import block_scene
 from torchlight.transfer import Transfer
 
 from .harmonics import lstsq_difference
-from .methods import Found, Method, find
-from .setting import PHOTOGRAPHED, POSES, RECEIVER, Exposed
+from .methods import METHODS, Family, Found, Method, find
+from .setting import PHOTOGRAPHED, POSES, RECEIVER, Exposed, used_samples
 
-RELIT_PER_EDGE = 384  # directions, of light finer than the transports
 Transfers = Mapping[tuple[Block, int], Transfer]
 AllColumns = Mapping[str, Columns]
 
@@ -145,28 +145,41 @@ def checked(found: Found, transfer: Transfer, photo: Observation) -> float | Non
 def relit(block: Block, found: Found, transfers: Transfers) -> Float[Tensor, "3 points"]:
     """Returns v = E / pi of a pose under the light found.
 
-    By the pose's own transport where it is as fine as the light, else texel by texel with the analytic shadow.
+    By the pose's own transport where it is as fine as the light, else by the columns of the light's squares.
     """
     coefficients = found.solution.coefficients
     transfer = transfers.get((block, found.basis.resolution))
     if transfer is not None:
         return irradiance(transfer.project(found.basis), coefficients) / torch.pi
-    return relit_by_texels(block, found.basis, coefficients)
-
-
-def relit_by_texels(block: Block, basis: Basis, coefficients: Float[Tensor, "3 coeffs"]) -> Float[Tensor, "3 points"]:
-    """Returns v = E / pi of a pose: analytic shadows of rays through every lit texel, at least 384 along an edge."""
-    texels = basis.synthesis(coefficients)
-    lit = (texels != 0).any(dim=0)
-    directions, weights = texel_rays(basis.resolution)
-    fluxes = (texels[:, lit].T[:, None] * weights[lit, :, None]).flatten(end_dim=1)
-    rays = directions[lit].flatten(end_dim=1).float()
-    return block_irradiance(block, rays, fluxes.float(), RECEIVER) / torch.pi
+    if found.refinement is None:
+        raise ValueError(f"no transport of {found.basis.resolution} texels was made for {found.basis}")
+    return relit_by_squares(pose_columns(block, found.basis.resolution), coefficients, found.refinement) / torch.pi
 
 
 @cache
-def texel_rays(resolution: int) -> tuple[Float[Tensor, "texels rays 3"], Float[Tensor, "texels rays"]]:
-    """Returns directions through the cells of every texel and their cosine weights."""
-    subsamples = math.ceil(RELIT_PER_EDGE / resolution)
-    cells = cubemap.texel_cells(resolution, subsamples)
-    return cubemap.cell_directions(cells), cubemap.cell_cosine_weights(cells)
+def pose_columns(block: Block, resolution: int) -> NodeColumns:
+    """Returns the columns of a pose, kept for all lights."""
+    scene = block_scene(block, RECEIVER)
+    return deepened(scene, precompute(scene, DENSE_RESOLUTION), resolution)
+
+
+def relit_by_squares(
+    columns: NodeColumns, coefficients: Float[Tensor, "3 coeffs"], refinement: Refinement
+) -> Float[Tensor, "3 points"]:
+    """Returns the irradiance of a light that is constant on the squares of a tree."""
+    tree = columns.tree
+    texels = haar.synthesis(coefficients.double(), tree.resolution)
+    sums, shown = pyramid(texels, tree.resolution), []
+    for channel, kept in enumerate(refinement.kept):
+        leaves = tree.leaves(needed(tree, kept))
+        radiance = sums[channel, leaves] * 4.0 ** tree.level[leaves].double() / tree.resolution**2
+        shown.append(radiance @ columns.of(leaves))
+    return torch.stack(shown).to(coefficients)
+
+
+def warm_up(transfers: Transfers, columns: AllColumns) -> None:
+    """Solves once by each adaptive method: the compiler's work and the casting of the first squares are not timed."""
+    photo = Observation(torch.ones(3, RECEIVER.points), used_samples(PHOTOGRAPHED).float())
+    for method in METHODS:
+        if method.family is Family.HAAR:
+            find(method, transfers[PHOTOGRAPHED, method.resolution], columns[method.name], photo, 0.0)

@@ -13,7 +13,7 @@ from torchlight.errors import ConfigError
 from torchlight.geometry.threads import ordered_map, thread_count
 from torchlight.inversion import growth
 from torchlight.inversion.forest import Forest, Items, harvest, seedlings
-from torchlight.inversion.growth import Pace
+from torchlight.inversion.growth import SMALL, Pace
 from torchlight.inversion.nodes import product
 from torchlight.inversion.outcome import Group, Outcome
 from torchlight.inversion.refinement import Bounds
@@ -28,12 +28,12 @@ class ProjectedGain:
     Attributes:
         threshold: tau: least gain of a trio, in squared sigmas.
         share: of the possible divisions made between two fits; smaller is greedier and slower.
-        spare: leaves that a tree may grow beyond the budget before it is pruned to it; 0 = no pruning.
+        spare: leaves that a small tree may grow beyond the budget before it is pruned to it; 0 = no pruning.
         shared: whether the channels of a photograph use the same functions, those that serve all of them best.
     """
 
     threshold: float = 8.0
-    share: float = 0.1
+    share: float = 0.05
     spare: int = 18
     shared: bool = False
 
@@ -50,8 +50,17 @@ class ProjectedGain:
         photos, channels, points = group.targets.shape
         trees = photos if self.shared else photos * channels
         items = seeds(group, group.targets.reshape(trees, -1, points))
-        items, forest = grow(items, Pace(self.threshold, self.share, bounds.budget + self.spare), bounds)
+        items, forest = grow(items, Pace(self.threshold, self.share, room(bounds.budget, self.spare)), bounds)
         return harvest(items, forest, (photos, channels))
+
+
+def room(budget: int, spare: int) -> int:
+    """Returns how many leaves a tree may grow to before it is pruned to the budget.
+
+    The first few divisions are the risky ones: each is chosen before what lies below it is known. Among dozens a poor
+    one hardly counts, and trees of `SMALL` leaves and more are not pruned.
+    """
+    return max(budget, min(budget + spare, SMALL))
 
 
 def seeds(group: Group, targets: Float[Tensor, "items channels points"]) -> Items:

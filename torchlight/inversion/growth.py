@@ -7,9 +7,9 @@ Item by item the loop is
     gain      by how much dividing each of them would lower |b - A v|^2
     divide    the best few
 
-until nothing gains enough, there is no room for more, or quarters must be cast first. Trees that outgrew the budget are
-then pruned: quarters that explain least are joined again. Growth spends divisions before it can see what pays only
-deeper; pruning takes back those that did not. `growth_kernel` is the same in compiled code, for the CPU.
+until nothing gains enough, there is no room for more, or quarters must be cast first. Small trees may outgrow the
+budget and are then pruned: quarters that explain least are joined again. Growth spends divisions before it can see what
+pays only deeper; pruning takes back those that did not. `growth_kernel` is the same in compiled code, for the CPU.
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ ASKED_ENERGY = 100.0  # squared sigmas a deeper leaf must put into the photograp
 LEAST_PRIOR = 0.3  # of the mean radiance: a dark leaf may still rise this much
 LEAST_REACH = 0.05
 REACH = 2.0
-EXACT = 48  # leaves up to which the loss of joining is found by fitting anew, for
-TRIED = 8  # the quarters that seem to explain least
-PRUNED = 0.25  # part of the divisions too many that is taken back between two fits
+SMALL = 48  # leaves: only smaller trees outgrow the budget and are pruned
+TRIED = 8  # the quarters that seem to explain least are joined by way of trial
 
 
 @dataclass(frozen=True)
@@ -220,21 +219,15 @@ def divide(
 
 
 def prune(items: Items, forest: Forest, item: int, budget: int) -> None:
-    """Joins quarters, those that explain least first, until the budget holds, in place; fits anew each time."""
+    """Joins quarters, those that explain least when all is fitted anew, until the budget holds, in place."""
     while int(forest.counts[item]) > budget:
         leaves = leaves_of(forest, item)
         places = whole_quads(items, leaves)
         losses, joined = joining(items, forest, item, places)
         ranked = torch.sort(losses, stable=True).indices
-        missing = -(-(leaves.shape[0] - budget) // WAVELETS)
-        if leaves.shape[0] <= EXACT:
-            ranked = ranked[:TRIED]
-            ranked = ranked[
-                torch.stack([explained_without(items, forest, item, places, joined, k) for k in ranked]).argmax()
-            ]
-        else:
-            ranked = ranked[: max(1, int(PRUNED * missing))]
-        join(items, forest, item, places, joined, ranked.reshape(-1))
+        ranked = ranked[:TRIED]
+        explained = torch.stack([explained_without(items, forest, item, places, joined, quad) for quad in ranked])
+        join(items, forest, item, places, joined, ranked[explained.argmax()].reshape(1))
         fit(items, forest, item)
 
 

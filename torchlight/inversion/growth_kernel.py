@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import no_type_check
 
 import numpy as np
-from numba import njit
+
+from torchlight.geometry.compiled import compiled
 
 UNKNOWN = -1
 TEXEL = -2
@@ -26,11 +27,7 @@ TOLERANCE = 1e-11
 CHANCES = 3
 PIVOTINGS = 40
 SMALLEST_PIVOT = 1e-13
-EXACT = 48
 TRIED = 8
-PRUNED = 0.25
-
-compiled = njit(cache=True, nogil=True)  # beside no_type_check: checkers of annotations leave these functions alone
 
 
 @compiled
@@ -543,7 +540,7 @@ def divide(children, leaves, counts, item, values, fates, candidates, gains, sou
 @compiled
 @no_type_check
 def prune(gram, parent, matrix, factor, correlations, sizes, leaves, counts, item, values, fates, steps, budget):
-    """Joins quarters, those that explain least first, until the budget holds; the answer is fitted anew each time."""
+    """Joins quarters, those that explain least when all is fitted anew, until the budget holds."""
     while counts[item] > budget:
         count = counts[item]
         order = np.argsort(parent[leaves[:count]], kind="mergesort")
@@ -558,16 +555,24 @@ def prune(gram, parent, matrix, factor, correlations, sizes, leaves, counts, ite
                 loss, joined[k, channel] = joining(matrix, slopes, values[channel], places)
                 losses[k] += loss
         ranked = np.argsort(losses, kind="mergesort")
-        missing = (count - budget + WAVELETS - 1) // WAVELETS
-        if count <= EXACT:
-            ranked = ranked[:TRIED]
-            best = best_of(
-                gram, parent, matrix, factor, correlations, sizes, leaves, count, values, steps, order, quads, joined,
-                ranked,
-            )  # fmt: skip
-            ranked = ranked[best : best + 1]
-        else:
-            ranked = ranked[: max(1, int(PRUNED * missing))]
+        ranked = ranked[:TRIED]
+        best = best_of(
+            gram,
+            parent,
+            matrix,
+            factor,
+            correlations,
+            sizes,
+            leaves,
+            count,
+            values,
+            steps,
+            order,
+            quads,
+            joined,
+            ranked,
+        )
+        ranked = ranked[best : best + 1]
         counts[item] = join(parent, leaves, count, values, fates, order, quads, joined, ranked)
         fit_channels(gram, matrix, factor, correlations, leaves, counts[item], sizes, values, steps)
 

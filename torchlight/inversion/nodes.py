@@ -71,6 +71,17 @@ class NodeColumns:
         """Number of samples."""
         return self.dense.shape[1]
 
+    def of(self, nodes: Int[Tensor, " k"]) -> Float[Tensor, "k points"]:
+        """Returns the columns of any squares."""
+        place = torch.full_like(self.tree.level, UNKNOWN)
+        place[self.node] = torch.arange(self.node.shape[0], device=place.device)
+        dense = place[nodes] != UNKNOWN
+        columns = self.dense.new_empty(nodes.shape[0], self.points)
+        columns[dense] = self.dense[place[nodes[dense]]]
+        if not bool(dense.all()):
+            columns[~dense] = self.finer(nodes[~dense])
+        return columns
+
     def finer(self, nodes: Int[Tensor, " k"]) -> Float[Tensor, "k points"]:
         """Returns the columns of squares finer than the dense transport, cast now where they are not kept."""
         missing = nodes[self._place[nodes] == UNKNOWN]
