@@ -160,17 +160,25 @@ def _upper_overlap(resolution: int, height: int) -> tuple[Int[Tensor, " pairs"],
         _chunk(azimuths[start : start + step], widths[start : start + step], resolution, height)
         for start in range(0, len(azimuths), step)
     ]
-    key, area = torch.cat([key for key, _ in parts]), torch.cat([area for _, area in parts])
-    keys = [key]
-    for _ in range(3 if symmetric else 0):
-        keys.append(_turn(keys[-1], resolution, height))
-    return _sum_by_key(torch.cat(keys), area.repeat(len(keys)))
+    key, area = _sum_by_key(torch.cat([key for key, _ in parts]), torch.cat([area for _, area in parts]))
+    if not symmetric:
+        return key, area
+    # each quarter turn meets columns of its own, so that the four sets of pairs are disjoint
+    turned, keys = _turned_texels(resolution), [key]
+    for _ in range(3):
+        keys.append(_turn(keys[-1], turned, height))
+    whole = torch.cat(keys).sort()
+    return whole.values, area.repeat(4)[whole.indices]
 
 
-def _turn(key: Int[Tensor, " pairs"], resolution: int, height: int) -> Int[Tensor, " pairs"]:
-    """Returns the pair a quarter turn about +Z further on."""
+def _turned_texels(resolution: int) -> Int[Tensor, " texels"]:
+    """Returns for each texel of the six faces the one a quarter turn about +Z further on."""
     x, y, z = cubemap.texel_directions(resolution).unbind(dim=-1)
-    turned = cubemap.texel_index(torch.stack([-y, x, z], dim=-1), resolution)
+    return cubemap.texel_index(torch.stack([-y, x, z], dim=-1), resolution)
+
+
+def _turn(key: Int[Tensor, " pairs"], turned: Int[Tensor, " texels"], height: int) -> Int[Tensor, " pairs"]:
+    """Returns the pair a quarter turn about +Z further on."""
     pixel, texel = key // len(turned), key % len(turned)
     row, column = pixel // (2 * height), pixel % (2 * height)
     # Azimuth grows to the left.
