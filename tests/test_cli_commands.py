@@ -225,7 +225,7 @@ def test_probes_that_cannot_be_used(tmp_path: Path, radiance: torch.Tensor, says
 def test_demo_refuses_before_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, str]) -> None:
     monkeypatch.chdir(tmp_path)
     exr(tmp_path / "file")
-    monkeypatch.setattr("torchlight.demo.precompute", raising(ZeroDivisionError()))
+    monkeypatch.setattr("torchlight.demo.columns_for", raising(ZeroDivisionError()))
     ran = run("demo", *options)
     assert ran.code == 2
     assert options[1] in ran.line

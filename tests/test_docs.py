@@ -17,10 +17,11 @@ from torchlight.errors import ConfigError
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
+from torchlight.inversion.adaptive import AdaptiveHaar
 from torchlight.io import scene_file
 from torchlight.io.occluders import _PLACEMENT_KEYS, _SHAPES
+from torchlight.io.photo_keys import ENCODINGS, PHOTO_KEYS, REFERENCE_KEYS, REFERENCES
 from torchlight.io.scene_file import load_scene
-from torchlight.light.bases import Texels
 from torchlight.photo.observation import linear_photo
 from torchlight.pipeline import DIRECTIONS_PER_EDGE, estimate
 from torchlight.results import Provenance, select, write_result
@@ -69,6 +70,8 @@ def load(text: str, folder: Path) -> Scene:
         (folder / name).write_text(TETRAHEDRON)
     for name in re.findall(r"^mask: (\S+)", text, re.MULTILINE):
         cv2.imwrite(str(folder / name), np.full((12, 16), 255, dtype=np.uint8))
+    for name in re.findall(r"photo: (\S+\.jpg)", text):
+        cv2.imwrite(str(folder / name), np.full((12, 16), 200, dtype=np.uint8))
     missing = [line for key, line in MINIMAL.items() if not re.search(f"^{key}:", text, re.MULTILINE)]
     scene = folder / "scene.yaml"
     scene.write_text("".join(missing) + text)
@@ -86,8 +89,8 @@ def test_scene_page_shows_yaml() -> None:
 
 def test_scene_page_names_every_key() -> None:
     text = (DOCS / "scenes.md").read_text()
-    keys = {*scene_file._SCENE_KEYS, *scene_file._RECEIVER_KEYS, *scene_file._CAMERA_KEYS, "encoding"}
-    keys |= {*_SHAPES, *_PLACEMENT_KEYS, "matrix", *scene_file.ENCODINGS, *scene_file.REFERENCES}
+    keys = {*scene_file._SCENE_KEYS, *scene_file._RECEIVER_KEYS, *scene_file._CAMERA_KEYS}
+    keys |= {*_SHAPES, *_PLACEMENT_KEYS, "matrix", *ENCODINGS, *REFERENCES, *PHOTO_KEYS, *REFERENCE_KEYS}
     assert {key for key in keys if f"`{key}`" not in text} == set()
 
 
@@ -110,12 +113,12 @@ def test_the_camera_snippet_looks_at_the_middle_from_above(tmp_path: Path) -> No
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small result as `torchlight estimate` writes it."""
+    """A small result as `torchlight estimate` writes it by default."""
     scene = block_scene(Block((1.0, 0.6, 1.2)), Receiver((0.0, 0.0), (4.0, 4.0), (8, 8)))
     photo = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    found = estimate(linear_photo(photo), scene, Texels(2), transfer=transport(scene, 2, 4))
+    found = estimate(linear_photo(photo), scene, solver=AdaptiveHaar(4, 20), transfer=transport(scene, 4, 4))
     out = tmp_path_factory.mktemp("out") / "photo"
-    write_result(out, select(found, 0), scene, Provenance("", "", "photo.png", "texels", "nnls", {}))
+    write_result(out, select(found, 0), scene, Provenance("", "", "photo.png", "adaptive", "nnls", {}))
     return out
 
 

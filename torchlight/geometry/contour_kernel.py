@@ -20,15 +20,14 @@ from __future__ import annotations
 from typing import no_type_check
 
 import numpy as np
-from numba import njit
+
+from torchlight.geometry.compiled import compiled
 
 COARSE, FINE = 6, 3  # directions along the edge of a block
 CROSSINGS = 32  # room for the crossings of one line at first; doubled when it is not enough
 ROUNDING = 1e-11  # of n . d for a unit normal and a direction to a face of the cube: a sign beyond it is certain
 SLACK = 1e-9  # of the sine of an angle between a cluster and a direction
 TURNING = 9.0  # in the place of an n_e that changes within a block
-
-compiled = njit(nogil=True, cache=True)
 
 
 @compiled
