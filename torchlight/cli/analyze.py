@@ -48,7 +48,7 @@ def prepare(path: Path, command: arguments.Analyze) -> View:
     scene = load_scene(path)
     try:
         used_samples(scene)  # says what is wrong before rays are cast
-        with progress_bar(f"casting rays for {path.name}") as progress:
+        with progress_bar(f"transport of {path.name}") as progress:
             transfer = precompute(scene, RESOLUTION, use_cache=not command.no_cache, progress=progress)
         return view(path, scene, transfer)
     except TorchlightError as error:
