@@ -13,6 +13,7 @@ from torch.testing import assert_close
 
 from torchlight.errors import FormatError
 from torchlight.io.containers import inspect
+from torchlight.io.exif import upright
 from torchlight.io.exr import write_exr
 from torchlight.io.images import image_size, read_mask, read_photo, write_png
 from torchlight.io.rgbe import write_hdr
@@ -88,16 +89,47 @@ def test_float_files_are_linear(tmp_path: Path) -> None:
     assert [image_size(tmp_path / name) for name in ("a.exr", "y.exr", "a.hdr")] == [(13, 9)] * 3
 
 
-def test_orientation_is_not_applied(tmp_path: Path) -> None:
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation_is_applied_once_and_as_other_programs_do(tmp_path: Path, orientation: int) -> None:
     jpeg = encode(".jpg", EIGHT)
-    (tmp_path / "plain.jpg").write_bytes(jpeg)
-    (tmp_path / "turned.jpg").write_bytes(with_orientation(jpeg, 6))
+    (tmp_path / "turned.jpg").write_bytes(with_orientation(jpeg, orientation))
     applied = cv2.imread(str(tmp_path / "turned.jpg"), cv2.IMREAD_COLOR)
     assert applied is not None
-    assert applied.shape == (13, 9, 3)
     turned = read_photo(tmp_path / "turned.jpg")
-    assert_close(turned.pixels, read_photo(tmp_path / "plain.jpg").pixels, rtol=0, atol=0)
-    assert image_size(tmp_path / "turned.jpg") == (13, 9)
+    assert_close(turned.pixels, as_tensor(np.ascontiguousarray(applied[..., ::-1])), rtol=0, atol=1e-7)
+    assert turned.exif.orientation == orientation
+    assert image_size(tmp_path / "turned.jpg") == (applied.shape[1], applied.shape[0])
+
+
+def tiff(rgb: np.ndarray, orientation: int) -> bytes:
+    """Returns an uncompressed TIFF of one strip, written by hand."""
+    height, width, _ = rgb.shape
+    bits = 8 * rgb.itemsize
+    entries = [(256, width), (257, height), (258, 134), (259, 1), (262, 2), (273, 140)]
+    entries += [(274, orientation), (277, 3), (278, height), (279, rgb.nbytes)]
+    body = struct.pack("<2sHIH", b"II", 42, 8, len(entries))
+    for tag, value in entries:
+        body += struct.pack("<HHIHH", tag, 3, 3 if tag == 258 else 1, value, 0)
+    return body + struct.pack("<I3H", 0, bits, bits, bits) + rgb.astype(rgb.dtype.newbyteorder("<")).tobytes()
+
+
+@pytest.mark.parametrize("picture", [EIGHT, SIXTEEN], ids=["8", "16"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_tiff_is_turned_once(tmp_path: Path, picture: np.ndarray, orientation: int) -> None:
+    (tmp_path / "a.tiff").write_bytes(tiff(picture, orientation))
+    expected = as_tensor(upright(picture, orientation))
+    assert_close(read_photo(tmp_path / "a.tiff").pixels, expected, rtol=0, atol=1e-7)
+    assert image_size(tmp_path / "a.tiff") == (expected.shape[2], expected.shape[1])
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".tiff"])
+def test_printing_inks_are_refused(tmp_path: Path, suffix: str) -> None:
+    image = pytest.importorskip("PIL.Image")
+    image.new("CMYK", (8, 6), (10, 20, 30, 40)).save(tmp_path / f"a{suffix}")
+    for read in (read_photo, image_size):
+        with pytest.raises(FormatError, match=r"of CMYK inks, not of light; save the original as RGB") as error:
+            read(tmp_path / f"a{suffix}")
+        assert "\n" not in str(error.value)
 
 
 def test_jpeg_colours_and_kinds(tmp_path: Path) -> None:

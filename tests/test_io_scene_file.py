@@ -253,10 +253,13 @@ def test_missing_keys_come_with_an_example(tmp_path: Path) -> None:
         (BLOCK + RECEIVER.replace("}", ", albedo: [1, 1]}"), "receiver.albedo: expected a list of 3 numbers"),
         (BLOCK + RECEIVER + CAMERA.replace("[0, 10, 3]", "[0, 10]"), "camera.K[1]: expected a list of 3 numbers"),
         (BLOCK + RECEIVER + CAMERA + "  distortion: 0.1\n", "camera.distortion: expected a list of 4, 5, 8, 12, 14"),
-        (BLOCK + RECEIVER + "photo: srgb\n", "photo: expected a mapping with keys among encoding, got 'srgb'"),
-        (BLOCK + RECEIVER + "photo: {encoding: sRGB}\n", "photo.encoding: expected srgb or linear, got 'sRGB'"),
-        (BLOCK + RECEIVER + "photo: {encoding: [srgb]}\n", "photo.encoding: expected srgb or linear, got ['srgb']"),
-        (BLOCK + RECEIVER + "reference: flat\n", "reference: expected uniform or smooth, got 'flat'"),
+        (
+            BLOCK + RECEIVER + "photo: sRGB\n",
+            "photo.encoding: expected srgb or linear or gamma or response or raw, got",
+        ),
+        (BLOCK + RECEIVER + "photo: {encoding: sRGB}\n", "photo.encoding: expected srgb or linear or gamma"),
+        (BLOCK + RECEIVER + "photo: {encoding: [srgb]}\n", "or raw, got ['srgb']"),
+        (BLOCK + RECEIVER + "reference: flat\n", "reference.method: expected uniform or smooth or stack"),
         (BLOCK + RECEIVER + "mask: 3\n", "mask: expected text"),
         (
             occluders("{box: [1, 1, 1], scale: 2, matrix: [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}"),

@@ -48,6 +48,28 @@ class Camera:
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
 
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """What a calibration finds and every photograph of one camera shares: a camera without its pose.
+
+    Attributes:
+        intrinsics: K, in pixels.
+        image_size: width and height in pixels.
+        distortion: OpenCV order, as in `Camera`.
+    """
+
+    intrinsics: Float[Tensor, "3 3"]
+    image_size: tuple[int, int]
+    distortion: Float[Tensor, " parameters"]
+
+    def __post_init__(self) -> None:
+        self.at(torch.eye(4, dtype=torch.float64))
+
+    def at(self, world_to_camera: Float[Tensor, "4 4"]) -> Camera:
+        """Returns the camera with this pose."""
+        return Camera(self.intrinsics, world_to_camera, self.image_size, self.distortion)
+
+
 def check_intrinsics(intrinsics: Float[Tensor, "3 3"]) -> None:
     """Raises CalibrationError unless K is finite, without skew, and with positive focal lengths."""
     k = intrinsics

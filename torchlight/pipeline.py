@@ -11,8 +11,9 @@ predicted   = albedo / pi * T c                     what the receiver would show
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float
@@ -20,7 +21,7 @@ from torch import Tensor
 
 from torchlight import metrics
 from torchlight.camera import project
-from torchlight.errors import CalibrationError, ConfigError, SceneError
+from torchlight.errors import CalibrationError, ConfigError, SceneError, TorchlightError
 from torchlight.geometry.contours import scene_contours
 from torchlight.geometry.footprints import footprint_points, subpoints_for, visible_samples
 from torchlight.geometry.receiver import sample_centers
@@ -29,8 +30,9 @@ from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
 from torchlight.inversion.linear import default_solver, solve_light
 from torchlight.inversion.nodes import NodeColumns
 from torchlight.inversion.refinement import Refinement
+from torchlight.inversion.robust import robust_weights
 from torchlight.io import cache
-from torchlight.io.images import Photo
+from torchlight.io.images import Photo, read_photo
 from torchlight.light.bases import Basis, SphericalHarmonics
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.peaks import Peaks, environment_peaks, texel_peaks
@@ -43,6 +45,7 @@ from torchlight.solvers import Solution, Solver
 from torchlight.transfer import ALGORITHM, Transfer, square_columns, transport
 
 DIRECTIONS_PER_EDGE = 192  # see docs/convergence.md
+ROBUST_ROUNDS = 4
 Columns = Transfer | NodeColumns
 Progress = Callable[[int, int], None]
 
@@ -167,6 +170,16 @@ def explain(
     return Estimate(light, found.solution, basis, observation, predicted, peaks, found.refinement)
 
 
+def explain_robustly(
+    observation: Observation, scene: Scene, transfer: Columns, basis: Basis, solver: Solver | AdaptiveHaar
+) -> Estimate:
+    """Returns `explain`, repeated with the weights of `robust_weights`; what it let go of has the weight 0."""
+    estimate = explain(observation, scene, transfer, basis, solver)
+    for _ in range(ROBUST_ROUNDS):
+        estimate = explain(robust_weights(observation, estimate.predicted), scene, transfer, basis, solver)
+    return estimate
+
+
 def find_light(transfer: Columns, basis: Basis, observation: Observation, solver: Solver | AdaptiveHaar) -> FoundLight:
     """Returns the coefficients of the light, what the receiver shows under it, and what the adaptive method decided.
 
@@ -191,17 +204,35 @@ def linearize(photo: Photo, scene: Scene) -> LinearPhoto:
         ConfigError: an 8- or 16-bit photograph whose encoding the scene does not state.
     """
     encoding = radiometry.resolve_encoding(scene.encoding, photo.bits)
-    linear = linear_photo(radiometry.linearize(photo.pixels, encoding))
+    response = None if scene.response is None else radiometry.Response(scene.response)
+    linear = linear_photo(radiometry.linearize(photo.pixels, encoding, scene.gamma, response))
     return LinearPhoto(linear.radiance, linear.usable & ~radiometry.saturated(photo.pixels, photo.bits))
 
 
-def observe(photo: LinearPhoto, scene: Scene, visible: Bool[Tensor, " points"] | None = None) -> Observation:
+def placed(scene: Scene, photo: Photo, name: str) -> Scene:
+    """Returns the scene with the camera of one photograph; the scene as it is where all share one, or none.
+
+    Raises:
+        CalibrationError: the photograph does not show enough of the board.
+    """
+    if scene.finder is None:
+        return scene
+    return replace(scene, camera=scene.finder(photo.pixels, photo.is_linear, name), finder=None)
+
+
+def observe(
+    photo: LinearPhoto,
+    scene: Scene,
+    visible: Bool[Tensor, " points"] | None = None,
+    empty: Observation | None = None,
+) -> Observation:
     """Returns what photographs say about the receiver's samples, the scene's reference divided out.
 
     Args:
         photo: linear photographs.
         scene: receiver, camera, mask and reference.
         visible: from `visible_part`; computed when absent, worth keeping for many photographs.
+        empty: from `empty_plane`, likewise.
 
     Raises:
         CalibrationError: the photograph's size is not the camera's.
@@ -210,9 +241,60 @@ def observe(photo: LinearPhoto, scene: Scene, visible: Bool[Tensor, " points"] |
     """
     visible = visible_part(scene) if visible is None else visible
     observation = sample_photo(photo, scene, visible)
+    if scene.albedo_map is not None:
+        observation = reference.divide(observation, mapped_albedo(scene, scene.albedo_map, visible))
     if scene.reference == "smooth":
-        observation = reference.divide(observation, reference.smooth(observation, sample_centers(scene.receiver)))
-    return observation
+        return reference.divide(observation, reference.smooth(observation, sample_centers(scene.receiver)))
+    if scene.reference == "stack" and not scene.reference_photos and empty is None:
+        empty = reference.stack(observation)
+    empty = empty_plane(scene, visible) if empty is None else empty
+    return observation if empty is None else reference.divide(observation, reference.photographed(empty, observation))
+
+
+def empty_plane(
+    scene: Scene, visible: Bool[Tensor, " points"], photos: Sequence[str | Path] = ()
+) -> Observation | None:
+    """Returns what the plane shows without the object, as the references "photo" and "stack" find it; else None.
+
+    Args:
+        scene: receiver, camera, encoding, mask and reference.
+        visible: from `visible_part`.
+        photos: photographs of the call, of which "stack" is made where the scene lists none.
+
+    Raises:
+        TorchlightError: a photograph cannot be read or is not of the camera's size; too few for a stack.
+    """
+    if scene.reference not in ("photo", "stack"):
+        return None
+    shown = [sampled_file(file, scene, visible) for file in scene.reference_photos or photos]
+    if scene.reference == "photo":
+        return shown[0]
+    if not shown:
+        raise ConfigError("reference: stack has no photographs; list them as reference.photos")
+    return reference.stack(Observation(*(torch.stack(part) for part in zip(*map(parts_of, shown), strict=True))))
+
+
+def parts_of(observation: Observation) -> tuple[Tensor, Tensor]:
+    """Returns samples and weights."""
+    return observation.samples, observation.weights
+
+
+def sampled_file(file: str | Path, scene: Scene, visible: Bool[Tensor, " points"]) -> Observation:
+    """Returns what a photograph of the scene's camera shows of the receiver's samples; errors name the file."""
+    try:
+        photo = read_photo(file)
+        here = placed(scene, photo, str(file))
+        return sample_photo(linearize(photo, here), here, visible if here is scene else visible_part(here))
+    except TorchlightError as error:
+        raise type(error)(str(error) if str(file) in str(error) else f"reference: {file}: {error}") from error
+
+
+def mapped_albedo(
+    scene: Scene, albedo: Float[Tensor, "3 rows columns"], visible: Bool[Tensor, " points"]
+) -> reference.Reference:
+    """Returns the albedo of every sample, the exact mean of the map over it; 0 where any of it is unknown."""
+    known = LinearPhoto(albedo, (albedo > 0).all(dim=0))
+    return reference.Reference(from_rectified(known, scene.receiver.samples, visible).samples)
 
 
 def visible_part(scene: Scene) -> Bool[Tensor, " points"]:
@@ -222,7 +304,7 @@ def visible_part(scene: Scene) -> Bool[Tensor, " points"]:
         SceneError: none.
     """
     visible = visible_samples(scene)
-    if scene.mask is not None and scene.camera is None:
+    if scene.mask is not None and scene.camera is None and scene.finder is None:
         kept = from_rectified(
             LinearPhoto(scene.mask.float().expand(3, -1, -1), scene.mask), scene.receiver.samples, visible
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from torchlight.geometry.scene import Scene
 from torchlight.inversion.quadtree import quadtree
 from torchlight.inversion.refinement import Fate, Refinement
 from torchlight.io.atomic import partial_folder, write_atomically
+from torchlight.io.exif import Exif
 from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
 from torchlight.light.environment import EnvironmentMap
@@ -34,6 +35,7 @@ LIBRARIES = (
     "torch",
     "kornia",
     "numpy",
+    "numba",
     "trimesh",
     "embreex",
     "OpenEXR",
@@ -52,6 +54,7 @@ class Provenance:
         method: texels, haar, adaptive or sh.
         solver: nnls, ridge or adam.
         seconds: by stage.
+        exif: what the camera wrote beside the photograph.
     """
 
     scene_sha256: str
@@ -60,6 +63,7 @@ class Provenance:
     method: str
     solver: str
     seconds: Mapping[str, float]
+    exif: Exif = field(default_factory=Exif)
 
 
 def select(estimate: Estimate, item: int) -> Estimate:
@@ -158,6 +162,7 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "reference": scene.reference,
         "units": "relative",
         "light_is": light_is(scene),
+        "exposure": recorded(provenance.exif),
         "length_unit": scene.units,
         "convention": CONVENTION,
         "photo_sha256": provenance.photo_sha256,
@@ -206,7 +211,13 @@ def found_peaks(peaks: Peaks) -> list[dict[str, Any]]:
 
 def light_is(scene: Scene) -> str:
     """Returns what the recovered radiance is relative to."""
-    return "radiance x albedo x exposure" if scene.receiver.albedo is None else "radiance x exposure"
+    known = scene.receiver.albedo is not None or scene.albedo_map is not None
+    return "radiance x exposure" if known else "radiance x albedo x exposure"
+
+
+def recorded(exif: Exif) -> dict[str, float | None]:
+    """Returns the exposure that EXIF records, None where it does not; `scale` is what pixels are proportional to."""
+    return {"time": exif.time, "aperture": exif.aperture, "iso": exif.iso, "scale": exif.exposure}
 
 
 def versions() -> dict[str, str]:

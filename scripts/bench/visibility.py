@@ -166,9 +166,7 @@ def rays(scene: Scene, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def by_mitsuba(scene: Scene, directions: Float[Tensor, "directions 3"]) -> Method:
     """Mitsuba 3 `ray_test` in its LLVM variant, all of its threads."""
-    import drjit
-    import mitsuba
-
+    drjit, mitsuba = import_module("drjit"), import_module("mitsuba")
     mesh = mitsuba.Mesh("occluder", 3 * len(scene.triangles), len(scene.triangles))
     parameters = mitsuba.traverse(mesh)
     parameters["vertex_positions"] = scene.triangles.float().reshape(-1).numpy()
@@ -210,11 +208,9 @@ def available(name: str) -> bool:
     """Returns whether a method can be imported here; says so where it cannot."""
     try:
         if name == "Mitsuba LLVM":
-            import mitsuba
-
+            mitsuba = import_module("mitsuba")
             mitsuba.set_variant("llvm_ad_rgb")
-            import drjit
-
+            drjit = import_module("drjit")
             drjit.eval(mitsuba.Float([1.0]) + 1.0)
         if name == "Open3D":
             import_module("open3d")

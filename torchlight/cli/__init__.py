@@ -1,10 +1,12 @@
-"""The command line: `torchlight estimate|analyze|render|evaluate|cache|doctor|demo`."""
+"""The command line: `torchlight estimate|analyze|render|evaluate|merge|target|calibrate|cache|doctor|demo`."""
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from io import TextIOWrapper
 
@@ -53,7 +55,8 @@ def run(command: arguments.Command) -> int:
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may hold what the terminal cannot show
     try:
-        return import_module(f"torchlight.cli.{type(command).__name__.lower()}").run(command)
+        with messages_on_standard_error():
+            return import_module(f"torchlight.cli.{type(command).__name__.lower()}").run(command)
     except BrokenPipeError:
         raise
     except (TorchlightError, OSError) as error:
@@ -67,6 +70,28 @@ def run(command: arguments.Command) -> int:
 def fail(message: str) -> None:
     """Prints one line on standard error."""
     print(f"torchlight: {' '.join(message.split())}", file=sys.stderr)
+
+
+class Lines(logging.Handler):
+    """Prints each message as one line on standard error."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Prints one message."""
+        fail(record.getMessage())
+
+
+@contextmanager
+def messages_on_standard_error() -> Iterator[None]:
+    """Prints what the package has to say meanwhile; as a library it is silent unless logging is set up."""
+    logger, lines = logging.getLogger("torchlight"), Lines()
+    level = logger.level
+    logger.addHandler(lines)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+        logger.removeHandler(lines)
 
 
 def show_warnings_in_one_line() -> None:

@@ -33,7 +33,7 @@ class Estimate:
     map. haar: all wavelets on them. sh: spherical harmonics."""
     resolution: int | None = None
     """Texels along a cube map face's edge, a power of two; under --method adaptive those of the finest level, up to 512
-    (for a sun). Default: 128 under adaptive, 32 under sh, else 16."""
+    (for a sun). Default: 128 under adaptive (16 with --rule paper), 32 under sh, else 16."""
     degree: int = 5
     """Largest degree of spherical harmonics, (degree + 1)^2 coefficients; with --method sh."""
     functions: int = 450
@@ -44,8 +44,11 @@ class Estimate:
     """Standard deviation of the noise per sample, as a share of the brightest sample; with --method adaptive."""
     solver: Literal["nnls", "ridge", "adam"] = "nnls"
     """nnls: exact, radiance nowhere negative. ridge: least squares, unconstrained. adam: projected gradients."""
+    robust: bool = False
+    """Let go of samples that no light explains, such as thin foreign shadows: five solves with Huber's weights. They
+    are grey in fit.png."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to solve; rays are always cast on the CPU."""
+    """Where to solve; shadows are always found on the CPU."""
     overwrite: bool = False
     """Replace existing results."""
     no_cache: bool = False
@@ -121,6 +124,82 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Merge:
+    """Merge exposure brackets of one view into a linear picture: OUT.exr, and OUT_mask.png beside it.
+
+    Every photograph counts by its noise; pixels too bright or too dark for all of them are black in the mask. Exposures
+    come from EXIF (time, aperture, ISO) unless --times states them.
+    """
+
+    photos: Annotated[tuple[Path, ...], tyro.conf.Positional, arg(metavar="PHOTO PHOTO [PHOTO ...]")]
+    """Photographs of one view at two or more exposures, the camera on a stand: PNG, JPEG, TIFF, HEIC or RAW."""
+    out: Annotated[Path, arg(metavar="HDR.exr")]
+    """Picture to write."""
+    response: Annotated[str | None, arg(metavar="estimate|srgb|linear|gamma:NUMBER|FILE")] = None
+    """How stored values encode radiance; needed unless the photographs are RAW. estimate: found from the brackets and
+    written to OUT_response.json (Debevec and Malik)."""
+    times: Annotated[str | None, arg(metavar="T1,T2,...")] = None
+    """Exposure times in seconds, such as 1/30,1/8,0.5, in the order of the photographs; instead of EXIF."""
+    overwrite: bool = False
+    """Replace existing files."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Make a sheet to print: markers on all four sides, the object's footprint, a ruler; PDF, and PNG and YAML beside.
+
+    Prints below which height of the light the object's shadow leaves the sheet, and on which markers it may fall.
+    """
+
+    out: Annotated[Path, arg(metavar="FILE.pdf")]
+    """The PDF; the PNG and the YAML have the same name with another suffix."""
+    paper: Literal["A4", "A3", "letter"] = "A4"
+    """Page to print on, upright."""
+    object: Annotated[str, arg(metavar="SHAPE:MM,...")] = "box:30,20,35"
+    """What is to stand on the sheet: box:x,y,z, cylinder:radius,height or cone:radius,height."""
+    pose: Annotated[str, arg(metavar="X,Y,DEGREES")] = "0,0,30"
+    """Where, from the middle of the clean white, and how it is turned, counter-clockwise from above."""
+    overwrite: bool = False
+    """Replace existing files."""
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Find a camera's intrinsics and distortion from photographs of a board, and say how sure they are.
+
+    Ten to twenty sharp photographs from several tilts are good; one, with an EXIF focal length, gives a rough start.
+    Exit code: 0 all photographs were used, 1 some were left out, 2 no camera was found.
+    """
+
+    photos: Annotated[tuple[Path, ...], tyro.conf.Positional, arg(metavar="PHOTO [PHOTO ...]")]
+    """Photographs of the board by one camera at one size, one zoom, one focus."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """camera.json, or *.yml (OpenCV), cameras.txt (COLMAP), transforms.json (Nerfstudio); a picture lies beside it."""
+    target: Annotated[Path | None, arg(metavar="target.yaml")] = None
+    """The board is a sheet of `torchlight target`."""
+    chessboard: Annotated[str | None, arg(metavar="COLUMNSxROWS")] = None
+    """The board is a chessboard: its inner corners, such as 9x6."""
+    charuco: Annotated[str | None, arg(metavar="COLUMNSxROWS")] = None
+    """The board is a ChArUco board: its squares, such as 5x7."""
+    square: Annotated[str | None, arg(metavar="MM")] = None
+    """Side of a square of the chessboard or the ChArUco board."""
+    marker: Annotated[str | None, arg(metavar="MM")] = None
+    """Side of a marker of the ChArUco board."""
+    dictionary: str = "DICT_6X6_250"
+    """Markers of the ChArUco board, by OpenCV's name."""
+    ruler: Annotated[str | None, arg(metavar="MM")] = None
+    """What a ruler measures along the sheet's printed line, or along a board's first row of squares, end to end; a
+    print that is not to scale is refused."""
+    window: int | None = None
+    """Half the side of the patch that locates a chessboard's corner, in pixels. Default: a third of the way to the
+    nearest corner, at most 11."""
+    keep_all: bool = False
+    """Leave out no photograph for its error."""
+    overwrite: bool = False
+    """Replace existing files."""
+
+
+@dataclass(frozen=True)
 class Cache:
     """List or clear the scenes' transports kept on disk (TORCHLIGHT_CACHE names the folder)."""
 
@@ -153,6 +232,9 @@ Command = (
     | Annotated[Analyze, tyro.conf.subcommand("analyze")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Merge, tyro.conf.subcommand("merge")]
+    | Annotated[Target, tyro.conf.subcommand("target")]
+    | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Cache, tyro.conf.subcommand("cache")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]

@@ -17,17 +17,32 @@ from torchlight.analysis.verdict import excess
 from torchlight.cli import NOTHING_STARTED, arguments, fail
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError, TorchlightError
+from torchlight.geometry.receiver import sample_centers
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.adaptive import AdaptiveHaar, named_rule
 from torchlight.inversion.linear import named_solver
 from torchlight.io.atomic import check_writable
+from torchlight.io.exif import Exif
 from torchlight.io.files import read_bytes, sha256_of
-from torchlight.io.images import read_photo
+from torchlight.io.images import Photo, read_photo
 from torchlight.io.scene_file import load_scene
 from torchlight.light.bases import Basis, HaarCubemap, SphericalHarmonics, Texels
 from torchlight.light.cubemap import texel_count
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import Columns, Estimate, check_lit, columns_for, explain, linearize, observe, visible_part
+from torchlight.photo.tone import HALO, halo
+from torchlight.pipeline import (
+    Columns,
+    Estimate,
+    check_lit,
+    columns_for,
+    empty_plane,
+    explain,
+    explain_robustly,
+    linearize,
+    observe,
+    placed,
+    visible_part,
+)
 from torchlight.results import Provenance, select, write_result
 from torchlight.solvers import Solver, Status
 from torchlight.solvers.solution import CAUSE_AND_CURE
@@ -48,6 +63,7 @@ class Job:
     sha256: str
     observation: Observation
     seconds: float
+    exif: Exif
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +77,7 @@ class Plan:
     solver: Solver | AdaptiveHaar
     device: torch.device
     visible: Bool[Tensor, " points"]
+    empty: Observation | None
     columns: Columns
     seconds: dict[str, float]
 
@@ -126,10 +143,11 @@ def prepare(command: arguments.Estimate) -> Plan:
         dense = solver.dense_resolution if isinstance(solver, AdaptiveHaar) else basis.resolution
         check_budget(scene.receiver.points, texel_count(dense))
         visible = visible_part(scene)
+        empty = empty_plane(scene, visible, command.photos)
     with timed(seconds, "transport"), progress_bar("transport") as progress:
         columns = columns_for(scene, basis, solver, not command.no_cache, progress, device)
     digest = sha256_of(read_bytes(command.scene))
-    return Plan(command, scene, digest, basis, solver, device, visible, columns, seconds)
+    return Plan(command, scene, digest, basis, solver, device, visible, empty, columns, seconds)
 
 
 def named_method(command: arguments.Estimate) -> tuple[Basis, Solver | AdaptiveHaar]:
@@ -180,12 +198,27 @@ def observed(plan: Plan, photos: Sequence[Path]) -> Iterator[Job]:
         start = time.perf_counter()
         try:
             stored = read_photo(photo)
-            observation = observe(linearize(stored, plan.scene), plan.scene, plan.visible)
+            scene = placed(plan.scene, stored, str(photo))
+            visible = plan.visible if scene is plan.scene else visible_part(scene)
+            observation = observe(linearize(stored, scene), scene, visible, plan.empty)
             check_lit(observation)
+            warn_of_tone_mapping(photo, stored, observation, scene)
         except TorchlightError as error:
             fail(str(error) if str(photo) in str(error) else f"{photo}: {error}")
             continue
-        yield Job(photo, stored.sha256, observation, time.perf_counter() - start)
+        yield Job(photo, stored.sha256, observation, time.perf_counter() - start, stored.exif)
+
+
+def warn_of_tone_mapping(path: Path, photo: Photo, observation: Observation, scene: Scene) -> None:
+    """Says so in one line where the plane is brightest beside the shadow, which only a local tone map does."""
+    if photo.is_linear:
+        return
+    excess = halo(observation, sample_centers(scene.receiver), scene.receiver.samples).item()
+    if excess > HALO:
+        fail(
+            f"warning: {path}: the plane is {excess:.1%} brighter beside the shadow than far from it: a second object "
+            "or the camera's local tone mapping; switch HDR off, or photograph RAW"
+        )
 
 
 def solve_and_write(plan: Plan, jobs: Sequence[Job]) -> int:
@@ -193,7 +226,8 @@ def solve_and_write(plan: Plan, jobs: Sequence[Job]) -> int:
     start = time.perf_counter()
     samples = torch.stack([job.observation.samples for job in jobs]).to(plan.device)
     weights = torch.stack([job.observation.weights for job in jobs]).to(plan.device)
-    estimate = explain(Observation(samples, weights), plan.scene, plan.columns, plan.basis, plan.solver)
+    solve = explain_robustly if plan.command.robust else explain
+    estimate = solve(Observation(samples, weights), plan.scene, plan.columns, plan.basis, plan.solver)
     share = (time.perf_counter() - start) / len(jobs)
     return sum(write(plan, job, select(estimate, item), share) for item, job in enumerate(jobs))
 
@@ -202,7 +236,9 @@ def write(plan: Plan, job: Job, estimate: Estimate, solve_seconds: float) -> boo
     """Writes one photograph's folder and says so in one line; returns whether all went well."""
     command = plan.command
     seconds = {**plan.seconds, "photograph": job.seconds, "solve": solve_seconds}
-    provenance = Provenance(plan.scene_sha256, job.sha256, str(job.photo), command.method, command.solver, seconds)
+    provenance = Provenance(
+        plan.scene_sha256, job.sha256, str(job.photo), command.method, command.solver, seconds, job.exif
+    )
     unusable = unusable_channels(estimate)
     if unusable:
         fail(f"{job.photo}: {unusable}")

@@ -10,7 +10,7 @@ from torchlight.cli.progress import progress_bar
 from torchlight.io.images import read_photo
 from torchlight.io.lights import read_light
 from torchlight.io.scene_file import load_scene
-from torchlight.pipeline import check_lit, linearize, observe
+from torchlight.pipeline import check_lit, linearize, observe, placed
 from torchlight.relighting import relight
 from torchlight.results import number, visibility
 
@@ -18,7 +18,9 @@ from torchlight.results import number, visibility
 def run(command: arguments.Evaluate) -> int:
     """Prints rms_255, rms_relative, visible and points; with --fit-scale also the factor of each channel."""
     scene = load_scene(command.scene)
-    observation = observe(linearize(read_photo(command.photo), scene), scene)
+    photo = read_photo(command.photo)
+    scene = placed(scene, photo, str(command.photo))
+    observation = observe(linearize(photo, scene), scene)
     check_lit(observation)
     light = read_light(command.light, command.convention)
     with progress_bar("casting rays") as progress:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from kornia.color import linear_rgb_to_rgb
 
 from torchlight.cli import arguments
 from torchlight.cli.progress import progress_bar
@@ -16,6 +15,7 @@ from torchlight.io.exr import write_exr
 from torchlight.io.images import write_png
 from torchlight.io.lights import read_light
 from torchlight.io.scene_file import load_scene
+from torchlight.photo.radiometry import encode
 from torchlight.results import light_is
 from torchlight.view import View, render
 
@@ -46,8 +46,9 @@ def run(command: arguments.Render) -> int:
         write_png(target.mask, (view.shows_plane * 255).byte().numpy())
         print(f"{target.picture}: linear, brightest {picture.max().item():.3g}; {target.mask}")
     else:
-        clipped = write_display(target.picture, view, command.exposure, scene.encoding or "srgb")
-        print(f"{target.picture}: 8-bit {scene.encoding or 'srgb'}, {clipped:.1%} of the receiver's pixels clipped")
+        encoding = scene.encoding if scene.encoding in ("linear", "gamma") else "srgb"
+        clipped = write_display(target.picture, view, command.exposure, encoding, scene.gamma)
+        print(f"{target.picture}: 8-bit {encoding}, {clipped:.1%} of the receiver's pixels clipped")
     return 0
 
 
@@ -75,11 +76,11 @@ def check_target(command: arguments.Render) -> Target:
     return target
 
 
-def write_display(path: Path, view: View, exposure: float, encoding: str) -> float:
+def write_display(path: Path, view: View, exposure: float, encoding: str, gamma: float) -> float:
     """Writes an 8-bit PNG with alpha and returns the share of the receiver's pixels that were clipped."""
     linear = view.values * exposure
     values = linear.clamp(0, 1)
-    encoded = linear_rgb_to_rgb(values) if encoding == "srgb" else values
+    encoded = encode(values, encoding, gamma)
     alpha = view.opaque[None].to(encoded)
     image = (torch.cat([encoded, alpha]) * 255).round().byte().permute(1, 2, 0).contiguous()
     write_png(path, image.numpy())

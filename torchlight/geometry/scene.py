@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float
@@ -22,8 +24,15 @@ class Scene:
         receiver: the sampled rectangle of the plane.
         camera: the calibrated camera; None when photographs are already rectified receiver images.
         units: name of the length unit, carried into results.
-        encoding: how 8- and 16-bit photographs encode radiance: "srgb", "linear", or None when not stated.
-        reference: how the photograph is normalised: "uniform" or "smooth".
+        encoding: how 8- and 16-bit photographs encode radiance: "srgb", "linear", "gamma", "response", "raw" (RAW files
+            only), or None when not stated.
+        gamma: exponent of the encoding "gamma".
+        response: relative exposure of every stored code, of the encoding "response".
+        reference: how the photograph is normalised: "uniform", "smooth", "stack", "photo" or "albedo".
+        reference_photos: the empty plane's photograph of "photo", those of "stack"; none = those of the call.
+        finder: (pixels, whether they are linear, name) -> the camera of one photograph, where every photograph has its
+            own pose (`placed` in the pipeline); None otherwise.
+        albedo_map: the receiver's albedo, seen from above as a rectified photograph; 0 where unknown.
         mask: True where a photograph's pixel may be used (photograph pixels, or receiver pixels without a camera).
     """
 
@@ -34,6 +43,11 @@ class Scene:
     encoding: str | None = None
     reference: str = "uniform"
     mask: Bool[Tensor, "height width"] | None = None
+    gamma: float = 2.2
+    response: Float[Tensor, "3 codes"] | None = None
+    reference_photos: tuple[Path, ...] = ()
+    albedo_map: Float[Tensor, "3 rows columns"] | None = None
+    finder: Callable[[Float[Tensor, "3 height width"], bool, str], Camera] | None = None
 
     def __post_init__(self) -> None:
         if self.triangles.ndim != 3 or self.triangles.shape[1:] != (3, 3):

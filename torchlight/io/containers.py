@@ -17,7 +17,9 @@ from torchlight.io.files import MAX_PIXELS
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_NEXT_MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])")
+_INKS = 4
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
+_TIFF_COLOURS, _TIFF_SEPARATED = 262, 5
 _TIFF_OFFSETS_AND_COUNTS = ((273, 279), (324, 325))
 _TIFF_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}
 
@@ -35,14 +37,18 @@ def inspect(data: bytes, name: str) -> Container:
     """Returns kind and size of a whole PNG, JPEG, TIFF or BMP file.
 
     Raises:
-        FormatError: none of these, truncated, corrupt, or more than 400 megapixels.
+        FormatError: none of these, truncated, corrupt, CMYK, or more than 400 megapixels.
     """
     found = [entry for entry in _KINDS if data.startswith(entry[0])]
     if not found:
-        raise FormatError(f"{name}: its content is not PNG, JPEG, TIFF, BMP, EXR or HDR; convert it to one of these")
+        raise FormatError(
+            f"{name}: its content is not PNG, JPEG, TIFF, BMP, EXR or HDR, nor HEIC or RAW; convert it to one of these"
+        )
     _, kind, walk = found[0]
     try:
         width, height = walk(data)
+    except _PrintColoursError as error:
+        raise FormatError(f"{name}: a {kind} of CMYK inks, not of light; save the original as RGB") from error
     except (struct.error, IndexError, KeyError, ValueError, OverflowError) as error:
         detail = str(error) if isinstance(error, _DamagedError) else "it ends early or its structure is broken"
         raise FormatError(f"{name}: truncated or corrupt {kind}: {detail}; copy or save it again") from error
@@ -53,6 +59,10 @@ def inspect(data: bytes, name: str) -> Container:
 
 class _DamagedError(ValueError):
     """A reason that is fit to be shown."""
+
+
+class _PrintColoursError(Exception):
+    """Four inks instead of three lights: how much light they stand for is not in the file."""
 
 
 def _walk_png(data: bytes) -> tuple[int, int]:
@@ -98,6 +108,8 @@ def _walk_jpeg(data: bytes) -> tuple[int, int]:
         if marker in _JPEG_FRAMES:
             height, width = struct.unpack_from(">HH", data, position + 3)
             size = width, height
+            if data[position + 7] == _INKS:
+                raise _PrintColoursError
         scans += marker == 0xDA
         position += length
     if size is None or not scans:
@@ -121,6 +133,8 @@ def _walk_tiff(data: bytes) -> tuple[int, int]:
         pieces = zip(_tiff_values(data, order, tags[offsets]), _tiff_values(data, order, tags[counts]), strict=True)
         if any(offset + count > len(data) for offset, count in pieces):
             raise _DamagedError("pixels reach past the end of the file")
+        if _TIFF_COLOURS in tags and _tiff_values(data, order, tags[_TIFF_COLOURS])[0] == _TIFF_SEPARATED:
+            raise _PrintColoursError
         return _tiff_values(data, order, tags[_TIFF_WIDTH])[0], _tiff_values(data, order, tags[_TIFF_HEIGHT])[0]
     raise _DamagedError("it holds no pixels")
 

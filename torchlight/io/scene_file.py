@@ -14,18 +14,22 @@ from torchlight.errors import CalibrationError, SceneError, TorchlightError
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
 from torchlight.io import fields
+from torchlight.io.cameras import read_lens
 from torchlight.io.fields import Field
 from torchlight.io.files import MAX_PIXELS
 from torchlight.io.images import read_mask
 from torchlight.io.occluders import read_occluders
+from torchlight.io.photo_keys import photo_keys, reference_keys
+from torchlight.io.target_file import read_target
 from torchlight.io.yaml_file import read_yaml
+from torchlight.photo.board_camera import BoardCamera
+from torchlight.photo.target import Sheet
 
 _SCENE_KEYS = ("units", "occluders", "receiver", "camera", "photo", "reference", "mask")
 _RECEIVER_KEYS = ("center", "size", "samples", "albedo")
 _CAMERA_KEYS = ("image_size", "K", "distortion", "world_to_camera")
+_BOARD_CAMERA_KEYS = ("intrinsics", "board")
 _DISTORTION_LENGTHS = (4, 5, 8, 12, 14)
-ENCODINGS = ("srgb", "linear")
-REFERENCES = ("uniform", "smooth")
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -45,15 +49,20 @@ def load_scene(path: str | Path) -> Scene:
     known = fields.mapping(root, _SCENE_KEYS)
     occluders = fields.required(known, "occluders", root, "occluders: [{box: [100, 60, 120]}]")
     receiver = fields.required(known, "receiver", root, "receiver: {size: [400, 300], samples: [128, 96]}")
-    camera = _camera(known["camera"]) if "camera" in known else None
+    finder = _board_camera(known["camera"]) if "camera" in known and _names_a_board(known["camera"]) else None
+    camera = _camera(known["camera"]) if "camera" in known and finder is None else None
+    plane = _receiver(replace(receiver, error=SceneError))
+    if finder is not None:
+        _check_clear_of_markers(receiver, plane, finder.sheet)
     return Scene(
-        receiver=_receiver(replace(receiver, error=SceneError)),
+        receiver=plane,
+        finder=finder,
         triangles=read_occluders(replace(occluders, error=SceneError)),
         camera=camera,
         units=fields.text(known["units"]) if "units" in known else "unit",
-        encoding=_encoding(known["photo"]) if "photo" in known else None,
-        reference=fields.choice(known["reference"], REFERENCES) if "reference" in known else "uniform",
         mask=_mask(known["mask"], camera) if "mask" in known else None,
+        **(photo_keys(known["photo"]) if "photo" in known else {}),
+        **(reference_keys(known["reference"], receiver) if "reference" in known else {}),
     )
 
 
@@ -75,6 +84,32 @@ def _albedo(field: Field) -> tuple[float, float, float]:
         return red, green, blue
     grey = fields.number(field)
     return grey, grey, grey
+
+
+def _names_a_board(field: Field) -> bool:
+    return isinstance(field.value, dict) and not {"intrinsics", "board"}.isdisjoint(field.value)
+
+
+def _board_camera(field: Field) -> BoardCamera:
+    known = fields.mapping(field, _BOARD_CAMERA_KEYS)
+    lens = fields.required(known, "intrinsics", field, "intrinsics: camera.json")
+    board = fields.required(known, "board", field, "board: target.yaml")
+    try:
+        return BoardCamera(
+            read_lens(field.file.parent / fields.text(lens)), read_target(field.file.parent / fields.text(board))
+        )
+    except TorchlightError as error:
+        message = str(error)
+        raise error if message.startswith(str(field.file)) else type(error)(field.describe(message)) from error
+
+
+def _check_clear_of_markers(field: Field, receiver: Receiver, sheet: Sheet) -> None:
+    reach = [abs(center) + size / 2 for center, size in zip(receiver.center, receiver.size, strict=True)]
+    if reach[0] > sheet.inside[0] / 2 + 1e-9 or reach[1] > sheet.inside[1] / 2 + 1e-9:
+        field.fail(
+            f"reaches over the sheet's markers; its clean white is {sheet.inside[0]:g} x {sheet.inside[1]:g} mm around "
+            f"the origin: for example 'size: [{sheet.inside[0]:g}, {sheet.inside[1]:g}]'"
+        )
 
 
 def _camera(field: Field) -> Camera:
@@ -104,11 +139,6 @@ def _distortion(field: Field) -> Tensor:
     if len(values) not in _DISTORTION_LENGTHS:
         field.fail(f"expected {expected}, got {len(values)}")
     return torch.tensor(values, dtype=torch.float64)
-
-
-def _encoding(field: Field) -> str | None:
-    known = fields.mapping(field, ("encoding",))
-    return fields.choice(known["encoding"], ENCODINGS) if "encoding" in known else None
 
 
 def _mask(field: Field, camera: Camera | None) -> Bool[Tensor, "height width"]:
