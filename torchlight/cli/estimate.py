@@ -216,8 +216,8 @@ def warn_of_tone_mapping(path: Path, photo: Photo, observation: Observation, sce
     excess = halo(observation, sample_centers(scene.receiver), scene.receiver.samples).item()
     if excess > HALO:
         fail(
-            f"warning: {path}: the plane is {excess:.1%} brighter beside the shadow than far from it: a second object "
-            "or the camera's local tone mapping; switch HDR off, or photograph RAW"
+            f"warning: {path}: the plane is {excess:.1%} brighter beside the shadow than far from it: the camera's "
+            "local tone mapping (switch HDR off, or photograph RAW), a near lamp, or a second object"
         )
 
 
