@@ -13,6 +13,7 @@ from io import TextIOWrapper
 import tyro
 
 from torchlight.cli import arguments
+from torchlight.cli.usage import UsageError, complaint_in_one_line
 from torchlight.errors import TorchlightError
 
 # Read when torch starts its threads. Their default is to spin while they wait, which on a machine that does anything
@@ -31,6 +32,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     try:
         try:
             code = run(parse(argv))
+        except UsageError as error:
+            fail(str(error))
+            code = NOTHING_STARTED
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
@@ -40,13 +44,18 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def parse(argv: Sequence[str] | None) -> arguments.Command:
-    """Returns the command that the arguments name; prints help or what is wrong with them, and exits, otherwise."""
-    return tyro.cli(
-        tyro.conf.OmitArgPrefixes[tyro.conf.FlagCreatePairsOff[arguments.Command]],  # pyright: ignore
-        args=argv,
-        prog="torchlight",
-        description=DESCRIPTION,
-    )
+    """Returns the command that the arguments name; prints help and exits where they ask for it.
+
+    Raises:
+        UsageError: one line that says what is wrong with them.
+    """
+    with complaint_in_one_line():
+        return tyro.cli(
+            tyro.conf.OmitArgPrefixes[tyro.conf.FlagCreatePairsOff[arguments.Command]],  # pyright: ignore
+            args=argv,
+            prog="torchlight",
+            description=DESCRIPTION,
+        )
 
 
 def run(command: arguments.Command) -> int:
