@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 
+from torchlight.inversion import forest, growth, nodes, refinement
 from torchlight.inversion import growth_kernel as kernel
 
 Minimizer = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], int]
@@ -179,3 +180,17 @@ def test_clipped_gain_is_that_of_the_step_within_reach() -> None:
 def test_signs_are_those_of_the_wavelets() -> None:
     signs = [[kernel.sign(wavelet, quarter) for quarter in range(4)] for wavelet in range(3)]
     assert signs == [[1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]]
+
+
+# --- one truth -----------------------------------------------------------------------------------------------------
+
+
+def test_the_kernel_holds_the_numbers_of_its_twin() -> None:
+    """They are written out there: numba keeps compiled code until the kernel's own file changes."""
+    for name in ("ALWAYS_ASKED", "ASKED_ENERGY", "LEAST_PRIOR", "LEAST_REACH", "REACH", "TRIED", "WAVELETS"):
+        assert getattr(kernel, name) == getattr(growth, name)
+    assert (kernel.UNKNOWN, kernel.TEXEL) == (nodes.UNKNOWN, nodes.TEXEL)
+    assert (kernel.RIDGE, kernel.FLOOR) == (forest.RIDGE, refinement.FLOOR)
+    assert growth.LIMITS.tolerance == kernel.TOLERANCE
+    for fate in list(refinement.Fate)[:5]:
+        assert getattr(kernel, fate.name) == fate

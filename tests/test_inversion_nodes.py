@@ -192,3 +192,24 @@ def test_a_transport_that_does_not_fit_the_tree_is_refused() -> None:
     nodes = NodeColumns(Transfer(torch.ones(3, 48), 4), 4)
     with pytest.raises(ShapeError, match="max_resolution is 8, the columns' 4"):
         solve_adaptive(nodes, observed(seeing_each_texel(4), patchy(4, 0)), AdaptiveHaar(8, rule=ProjectedGain()))
+
+
+def test_the_gram_matrix_is_made_once_for_equal_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = NodeColumns(block_transfer(8), 8)
+    made: list[int] = []
+
+    def counted(left: Tensor, right: Tensor) -> Tensor:
+        made.append(len(left))
+        return product(left, right)
+
+    monkeypatch.setattr(module, "product", counted)
+    first, second = torch.ones(source.points, dtype=torch.float64), torch.ones(source.points, dtype=torch.float64)
+    assert_close(WeightedNodes(source, first).gram, source.dense @ source.dense.T)
+    before = len(made)
+    again = WeightedNodes(source, second)
+    assert len(made) == before
+    second = torch.linspace(0.5, 1.0, source.points, dtype=torch.float64)
+    other = WeightedNodes(source, second)
+    assert len(made) == before + 1
+    assert_close(other.gram, other.columns @ other.columns.T)
+    assert not torch.equal(other.gram, again.gram)

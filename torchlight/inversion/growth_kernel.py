@@ -12,6 +12,7 @@ import numpy as np
 
 from torchlight.geometry.compiled import compiled
 
+# as in the twin and below it, written out: numba keeps compiled code until this file changes
 UNKNOWN = -1
 TEXEL = -2
 RESOLVED, BELOW_THRESHOLD, ILL_CONDITIONED, UNSEEN, LIMIT = range(5)

@@ -64,12 +64,20 @@ class NodeColumns:
         self.node = within(self.coarse, self.tree)
         self._cast = cast
         self._place = torch.full_like(self.tree.level, UNKNOWN)
+        self._weighed: tuple[Tensor, Tensor] | None = None
         self._kept = Rows(self.dense[:0])
 
     @property
     def points(self) -> int:
         """Number of samples."""
         return self.dense.shape[1]
+
+    def gram(self, root: Float[Tensor, " points"]) -> Float[Tensor, "nodes nodes"]:
+        """Returns the inner products of the weighted columns of the dense transport; made once for equal weights."""
+        if self._weighed is None or not torch.equal(self._weighed[0], root):
+            columns = self.dense * root
+            self._weighed = root, product(columns, columns)
+        return self._weighed[1]
 
     def of(self, nodes: Int[Tensor, " k"]) -> Float[Tensor, "k points"]:
         """Returns the columns of any squares."""
@@ -133,7 +141,7 @@ class WeightedNodes:
         self.children[coarse.supports] = coarse.children
         self.parent = coarse.parent
         self._columns = Rows(source.dense * root)
-        self._gram = SymmetricRows(product(self.columns, self.columns))
+        self._gram = SymmetricRows(source.gram(root))
 
     @property
     def roots(self) -> Int[Tensor, " roots"]:
