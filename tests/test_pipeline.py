@@ -215,6 +215,20 @@ def test_the_prediction_is_that_of_the_coefficients() -> None:
     assert_close(same.solution.coefficients, found.solution.coefficients, rtol=1e-5, atol=1e-5)
 
 
+def test_a_coarse_transport_is_deepened_for_the_adaptive_method() -> None:
+    """What `precompute` returns serves the default method as `columns_for` does."""
+    values = block_values(BLOCK, RECEIVER, pixel_rays(sun_and_window(64)))
+    photo = receiver_image((values / values.max() * 250).round() / 250, RECEIVER)
+    method = AdaptiveHaar(64)
+    columns = columns_for(block_scene(), method.basis, method, use_cache=False)
+    dense = precompute(block_scene(), 16, use_cache=False)
+    expected = estimate(photo, block_scene(), solver=method, transfer=columns)
+    found = estimate(photo, block_scene(), solver=method, transfer=dense)
+    assert torch.equal(found.solution.coefficients, expected.solution.coefficients)
+    assert found.refinement is not None
+    assert (found.solution.coefficients != 0).sum() > 100
+
+
 def test_what_is_left_open_is_filled_in() -> None:
     usual = (HaarCubemap(128), AdaptiveHaar())
     assert resolve_method(None, None) == usual

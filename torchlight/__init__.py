@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from torchlight.photo.observation import LinearPhoto as LinearPhoto
     from torchlight.photo.observation import Observation as Observation
     from torchlight.pipeline import Estimate as Estimate
+    from torchlight.pipeline import columns_for as columns_for
     from torchlight.pipeline import estimate as estimate
     from torchlight.pipeline import linearize as linearize
     from torchlight.pipeline import observe as observe
@@ -64,6 +65,7 @@ _HOME = {
     "SphericalHarmonics": "light.bases",
     "Texels": "light.bases",
     "Transfer": "transfer",
+    "columns_for": "pipeline",
     "estimate": "pipeline",
     "irradiance": "relighting",
     "linearize": "pipeline",
@@ -96,6 +98,7 @@ __all__ = [
     "SphericalHarmonics",
     "Texels",
     "Transfer",
+    "columns_for",
     "estimate",
     "irradiance",
     "linearize",

@@ -107,7 +107,8 @@ def estimate(
         scene: occluders, receiver, camera.
         basis: what light is made of; None = Haar functions chosen by the photograph (`AdaptiveHaar`).
         solver: None = exact and non-negative.
-        transfer: from `columns_for`, or `precompute` at the basis' resolution; computed when absent.
+        transfer: from `columns_for`, or from `precompute`, at the basis' resolution or for `AdaptiveHaar` coarser;
+            computed when absent.
     """
     basis, solver = resolve_method(basis, solver)
     linear = photos if isinstance(photos, LinearPhoto) else linear_photo(photos)
@@ -161,6 +162,7 @@ def explain(
     observation: Observation, scene: Scene, transfer: Columns, basis: Basis, solver: Solver | AdaptiveHaar
 ) -> Estimate:
     """Returns the light that explains observations of one scene, with its prediction."""
+    transfer = fitting(scene, transfer, solver, observation.samples.device)
     factor = albedo_over_pi(scene.receiver, observation.samples)
     received = replace(observation, samples=observation.samples / factor)
     found = find_light(transfer, basis, received, solver)
@@ -168,6 +170,16 @@ def explain(
     peaks = find_peaks(basis, found.solution, light)
     predicted = factor * found.irradiance.to(factor)
     return Estimate(light, found.solution, basis, observation, predicted, peaks, found.refinement)
+
+
+def fitting(scene: Scene, transfer: Columns, solver: Solver | AdaptiveHaar, device: torch.device) -> Columns:
+    """Returns what the solver takes: a dense transport on the observation's device, deepened where it is too coarse."""
+    if not isinstance(transfer, Transfer):
+        return transfer
+    transfer = transfer.to(device=device)
+    if isinstance(solver, AdaptiveHaar) and transfer.resolution < solver.max_resolution:
+        return deepened(scene, transfer, solver.max_resolution)
+    return transfer
 
 
 def explain_robustly(
