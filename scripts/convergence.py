@@ -36,7 +36,7 @@ from torchlight.light import cubemap
 from torchlight.light.overlap import latlong_to_texels
 from torchlight.light.procedural import sun_and_window
 from torchlight.metrics import rms_255
-from torchlight.pipeline import DIRECTIONS_PER_EDGE
+from torchlight.precomputation import DIRECTIONS_PER_EDGE
 from torchlight.synthetic import block_scene
 from torchlight.transfer import transport
 

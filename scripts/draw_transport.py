@@ -24,7 +24,7 @@ from torchlight.light import cubemap
 from torchlight.light.directions import to_angles
 from torchlight.light.overlap import latlong_to_texels
 from torchlight.light.procedural import sun_and_window
-from torchlight.pipeline import DIRECTIONS_PER_EDGE
+from torchlight.precomputation import DIRECTIONS_PER_EDGE
 from torchlight.synthetic import block_scene, receiver_image
 from torchlight.transfer import transport
 

@@ -31,7 +31,7 @@ from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
 from torchlight.inversion.nodes import NodeColumns
 from torchlight.io.lights import read_light
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import precompute
+from torchlight.precomputation import precompute
 from torchlight.synthetic import block_scene, eight_bit
 from torchlight.transfer import Transfer, square_columns
 

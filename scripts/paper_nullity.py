@@ -19,7 +19,7 @@ from torchlight.analysis.spectrum import transfer_harmonics
 from torchlight.cli.analyze import RESOLUTION
 from torchlight.errors import TorchlightError
 from torchlight.io.scene_file import load_scene
-from torchlight.pipeline import precompute
+from torchlight.precomputation import precompute
 from torchlight.report.case import used_samples
 
 SCENES = Path(__file__).resolve().parent.parent / "configs" / "paper"

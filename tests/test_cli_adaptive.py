@@ -21,7 +21,9 @@ from torchlight.io.cache import entries
 from torchlight.io.images import read_photo
 from torchlight.io.scene_file import load_scene
 from torchlight.light.bases import HaarCubemap
-from torchlight.pipeline import estimate, linearize, precompute
+from torchlight.observing import linearize
+from torchlight.pipeline import estimate
+from torchlight.precomputation import precompute
 
 SCENE = """
 occluders: [{box: [100, 60, 120]}]
@@ -149,7 +151,7 @@ def test_the_second_call_finds_the_dense_transport_in_the_cache(
     words = ["estimate", str(folder / "scene.yaml"), str(folder / "0.png"), "--resolution", "32", "--device", "cpu"]
     call([*words, "--out", str(tmp_path / "one")], 0)
     assert len(entries()) == 1
-    monkeypatch.setattr("torchlight.pipeline.transport", lambda *arguments: pytest.fail("cast again"))
+    monkeypatch.setattr("torchlight.precomputation.transport", lambda *arguments: pytest.fail("cast again"))
     call([*words, "--out", str(tmp_path / "two")], 0)
     one, two = (load_file(tmp_path / name / "0" / "estimate.safetensors")["coefficients"] for name in ("one", "two"))
     assert torch.equal(one, two)

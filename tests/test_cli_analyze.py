@@ -49,7 +49,7 @@ def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folder, "PICTURE_RAYS", 8)
     monkeypatch.setattr("torchlight.view.FINEST_SAMPLES", 20)
     monkeypatch.setattr("torchlight.cli.analyze.RESOLUTION", 16)
-    monkeypatch.setattr("torchlight.pipeline.DIRECTIONS_PER_EDGE", 32)
+    monkeypatch.setattr("torchlight.precomputation.DIRECTIONS_PER_EDGE", 32)
 
 
 def scene(path: Path, text: str) -> Path:

@@ -26,7 +26,7 @@ from torch.testing import assert_close
 from workbench import BLOCK, CAMERA, LINEAR, RECTIFIED, SUN, Ran, contents, degrees_between, exr, png, scene_file
 from workbench import torchlight as run
 
-from torchlight import pipeline, results
+from torchlight import precomputation, results
 from torchlight.io.cache import entries
 from torchlight.io.lights import read_light
 from torchlight.io.scene_file import load_scene
@@ -103,7 +103,7 @@ def test_one_folder_with_seven_files_and_nothing_else(made: Made) -> None:
 
 def test_rms_is_that_of_the_stored_coefficients(made: Made) -> None:
     scene = load_scene(made.scene)
-    transport = pipeline.precompute(scene, 4, use_cache=False).transport.double().numpy()
+    transport = precomputation.precompute(scene, 4, use_cache=False).transport.double().numpy()
     predicted = made.tensors["coefficients"].double().numpy() @ transport.T / math.pi
     observed, used = made.tensors["samples"].double().numpy(), made.tensors["weights"].numpy() > 0
     residual = (predicted - observed)[:, used]
@@ -400,7 +400,7 @@ def test_ctrl_c_while_casting_rays_leaves_nothing(tmp_path: Path, monkeypatch: p
         raise KeyboardInterrupt
 
     monkeypatch.setenv("TORCHLIGHT_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(pipeline, "transport", interrupted)
+    monkeypatch.setattr(precomputation, "transport", interrupted)
     ran = estimate(scene_file(tmp_path), png(tmp_path / "a.png"), out=tmp_path / "out")
     assert ran.code == 130
     assert "interrupted" in ran.line
@@ -462,7 +462,7 @@ def test_the_second_call_casts_no_ray(tmp_path: Path, monkeypatch: pytest.Monkey
     assert entries() == ()
     assert estimate(scene, photo, out=tmp_path / "two").code == 0
     assert len(entries()) == 1
-    monkeypatch.setattr(pipeline, "transport", full_disk)
+    monkeypatch.setattr(precomputation, "transport", full_disk)
     assert estimate(scene, photo, out=tmp_path / "three").code == 0
     first, third = (load_file(tmp_path / f"{name}/a/estimate.safetensors")["coefficients"] for name in ("one", "three"))
     assert torch.equal(first, third)

@@ -39,7 +39,7 @@ def test_the_warning(
     warning: str | None,
 ) -> None:
     monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "cache"))
-    monkeypatch.setattr("torchlight.pipeline.DIRECTIONS_PER_EDGE", 32)
+    monkeypatch.setattr("torchlight.precomputation.DIRECTIONS_PER_EDGE", 32)
     (tmp_path / "scene.yaml").write_text(SCENE)
     write_exr(tmp_path / "photo.exr", torch.rand(3, 16, 16, generator=torch.Generator().manual_seed(0)) + 0.5, {})
     arguments = ["estimate", str(tmp_path / "scene.yaml"), str(tmp_path / "photo.exr"), "--out", str(tmp_path / "out")]

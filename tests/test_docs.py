@@ -23,7 +23,8 @@ from torchlight.io.occluders import _PLACEMENT_KEYS, _SHAPES
 from torchlight.io.photo_keys import ENCODINGS, PHOTO_KEYS, REFERENCE_KEYS, REFERENCES
 from torchlight.io.scene_file import load_scene
 from torchlight.photo.observation import linear_photo
-from torchlight.pipeline import DIRECTIONS_PER_EDGE, estimate
+from torchlight.pipeline import estimate
+from torchlight.precomputation import DIRECTIONS_PER_EDGE
 from torchlight.results import Provenance, select, write_result
 from torchlight.synthetic import block_scene
 from torchlight.transfer import transport

@@ -11,8 +11,9 @@ from torchlight.geometry.receiver import Receiver
 from torchlight.inversion.linear import default_solver
 from torchlight.inversion.robust import HUBER, REJECTED, robust_weights
 from torchlight.light.bases import Texels
+from torchlight.observing import visible_part
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import explain, explain_robustly, visible_part
+from torchlight.pipeline import explain, explain_robustly
 from torchlight.synthetic import block_scene
 from torchlight.transfer import transport
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.testing import assert_close
 from workbench import SUN, degrees_between
 
-from torchlight import pipeline
+from torchlight import precomputation
 from torchlight.camera import Camera
 from torchlight.errors import (
     CalibrationError,
@@ -37,19 +37,10 @@ from torchlight.light import cubemap
 from torchlight.light.bases import HaarCubemap, SphericalHarmonics, Texels
 from torchlight.light.peaks import peak_direction
 from torchlight.light.procedural import sun_and_window
+from torchlight.observing import check_lit, linearize, observe, visible_part
 from torchlight.photo.observation import LinearPhoto, linear_photo
-from torchlight.pipeline import (
-    check_lit,
-    columns_for,
-    deepened,
-    estimate,
-    linearize,
-    observe,
-    precompute,
-    resolve_method,
-    transport_key,
-    visible_part,
-)
+from torchlight.pipeline import estimate, resolve_method
+from torchlight.precomputation import Progress, columns_for, deepened, precompute, transport_key
 from torchlight.solvers import NNLS, Ridge, Status
 from torchlight.synthetic import block_values, pixel_rays, receiver_image
 from torchlight.transfer import Transfer, transport
@@ -258,11 +249,11 @@ def test_methods_that_do_not_fit_are_refused(transfer: Transfer) -> None:
 def test_other_methods_take_the_dense_transport_of_their_basis(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
 
-    def noted(scene: Scene, n: int, s: int, progress: pipeline.Progress | None = None) -> Transfer:
+    def noted(scene: Scene, n: int, s: int, progress: Progress | None = None) -> Transfer:
         seen.append(n)
         return Transfer(torch.zeros(scene.receiver.points, cubemap.texel_count(n)), n)
 
-    monkeypatch.setattr(pipeline, "transport", noted)
+    monkeypatch.setattr(precomputation, "transport", noted)
     assert isinstance(columns_for(small_scene(), Texels(8), NNLS(), use_cache=False), Transfer)
     for resolution in (4, 16, 64):
         method = AdaptiveHaar(resolution)
@@ -416,11 +407,11 @@ def small_scene() -> Scene:
 def test_a_transport_is_computed_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[int] = []
 
-    def counted(scene: Scene, resolution: int, subsamples: int, progress: pipeline.Progress | None = None) -> Transfer:
+    def counted(scene: Scene, resolution: int, subsamples: int, progress: Progress | None = None) -> Transfer:
         calls.append(subsamples)
         return transport(scene, resolution, subsamples, progress)
 
-    monkeypatch.setattr(pipeline, "transport", counted)
+    monkeypatch.setattr(precomputation, "transport", counted)
     first, second = (precompute(small_scene(), 2, 4) for _ in range(2))
     assert torch.equal(first.transport, second.transport)
     assert second.resolution == 2
@@ -453,11 +444,11 @@ def test_the_default_sampling_has_192_directions_along_a_face(
 ) -> None:
     seen: list[tuple[int, int]] = []
 
-    def noted(scene: Scene, n: int, s: int, progress: pipeline.Progress | None = None) -> Transfer:
+    def noted(scene: Scene, n: int, s: int, progress: Progress | None = None) -> Transfer:
         seen.append((n, s))
         return Transfer(torch.zeros(1, cubemap.texel_count(n)), n)
 
-    monkeypatch.setattr(pipeline, "transport", noted)
+    monkeypatch.setattr(precomputation, "transport", noted)
     precompute(small_scene(), resolution, use_cache=False)
     assert seen == [(resolution, subsamples)]
 
@@ -486,6 +477,6 @@ def test_the_key_changes_with_everything_the_transport_depends_on(monkeypatch: p
         transport_key(replace(scene, receiver=replace(scene.receiver, size=(4.0, 4.1))), 2, 2),
         transport_key(replace(scene, receiver=replace(scene.receiver, samples=(4, 5))), 2, 2),
     ]
-    monkeypatch.setattr(pipeline, "ALGORITHM", "transport-next")
+    monkeypatch.setattr(precomputation, "ALGORITHM", "transport-next")
     keys.append(transport_key(scene, 2, 2))
     assert len(set(keys)) == len(keys)

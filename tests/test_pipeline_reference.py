@@ -17,9 +17,9 @@ from torchlight.io.exr import write_exr
 from torchlight.io.images import read_photo, write_png
 from torchlight.io.response_file import write_response
 from torchlight.io.scene_file import load_scene
+from torchlight.observing import linearize, observe
 from torchlight.photo.observation import linear_photo
 from torchlight.photo.radiometry import Response, encode
-from torchlight.pipeline import linearize, observe
 from torchlight.results import light_is
 
 

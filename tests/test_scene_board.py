@@ -27,9 +27,9 @@ from torchlight.io.images import read_photo, write_png
 from torchlight.io.scene_file import load_scene
 from torchlight.io.target_file import write_target
 from torchlight.light.environment import EnvironmentMap
+from torchlight.observing import placed
 from torchlight.photo.board_camera import BoardCamera
 from torchlight.photo.target import DEFAULT_PROP
-from torchlight.pipeline import placed
 from torchlight.view import camera_view
 
 SMALL = Lens(LENS.intrinsics * torch.tensor([[0.75], [0.75], [1.0]]), (1200, 900), LENS.distortion)

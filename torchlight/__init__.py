@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     from torchlight.light.bases import SphericalHarmonics as SphericalHarmonics
     from torchlight.light.bases import Texels as Texels
     from torchlight.light.environment import EnvironmentMap as EnvironmentMap
+    from torchlight.observing import linearize as linearize
+    from torchlight.observing import observe as observe
     from torchlight.photo.observation import LinearPhoto as LinearPhoto
     from torchlight.photo.observation import Observation as Observation
     from torchlight.pipeline import Estimate as Estimate
-    from torchlight.pipeline import columns_for as columns_for
     from torchlight.pipeline import estimate as estimate
-    from torchlight.pipeline import linearize as linearize
-    from torchlight.pipeline import observe as observe
-    from torchlight.pipeline import precompute as precompute
+    from torchlight.precomputation import columns_for as columns_for
+    from torchlight.precomputation import precompute as precompute
     from torchlight.relighting import irradiance as irradiance
     from torchlight.relighting import relight as relight
     from torchlight.solvers import NNLS as NNLS
@@ -65,13 +65,13 @@ _HOME = {
     "SphericalHarmonics": "light.bases",
     "Texels": "light.bases",
     "Transfer": "transfer",
-    "columns_for": "pipeline",
+    "columns_for": "precomputation",
     "estimate": "pipeline",
     "irradiance": "relighting",
-    "linearize": "pipeline",
+    "linearize": "observing",
     "load_scene": "io.scene_file",
-    "observe": "pipeline",
-    "precompute": "pipeline",
+    "observe": "observing",
+    "precompute": "precomputation",
     "read_light": "io.lights",
     "read_photo": "io.images",
     "relight": "relighting",

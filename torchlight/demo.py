@@ -21,7 +21,8 @@ from torchlight.io.images import write_png
 from torchlight.io.lights import write_light
 from torchlight.light.environment import EnvironmentMap
 from torchlight.photo.observation import Observation, linear_photo
-from torchlight.pipeline import Estimate, columns_for, estimate
+from torchlight.pipeline import Estimate, estimate
+from torchlight.precomputation import columns_for
 from torchlight.relighting import relight
 from torchlight.synthetic import block_scene, block_values, eight_bit, expose, pixel_rays, receiver_image
 

@@ -16,7 +16,7 @@ from torchlight.analysis.nullity import equations, nullity
 from torchlight.analysis.sampling import random_rotations
 from torchlight.analysis.spectrum import transfer_harmonics
 from torchlight.io.scene_file import load_scene
-from torchlight.pipeline import precompute
+from torchlight.precomputation import precompute
 
 SCENE = Path(__file__).resolve().parents[2] / "configs" / "paper" / "above.yaml"
 RESOLUTION = 32

@@ -20,7 +20,7 @@ from torchlight.inversion.quadtree import pyramid
 from torchlight.inversion.refinement import Refinement, needed
 from torchlight.light import haar
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import Columns, deepened, precompute
+from torchlight.precomputation import Columns, deepened, precompute
 from torchlight.relighting import irradiance
 from torchlight.solvers import Ridge, Status
 from torchlight.synthetic import block_scene

@@ -12,7 +12,8 @@ from torchlight.inversion.level_by_level import LevelByLevel
 from torchlight.inversion.refinement import Refinement
 from torchlight.light.bases import Basis, SphericalHarmonics, Texels
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import Columns, find_light
+from torchlight.pipeline import find_light
+from torchlight.precomputation import Columns
 from torchlight.solvers import NNLS, NonnegativeSynthesis, Ridge, Solution, Solver
 from torchlight.transfer import Transfer
 

@@ -12,7 +12,7 @@ from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError, TorchlightError
 from torchlight.io.atomic import check_writable
 from torchlight.io.scene_file import load_scene
-from torchlight.pipeline import precompute
+from torchlight.precomputation import precompute
 from torchlight.report.case import View, cases, used_samples, view
 from torchlight.report.folder import Settings, write_analysis
 

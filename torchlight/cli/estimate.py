@@ -28,21 +28,11 @@ from torchlight.io.images import Photo, read_photo
 from torchlight.io.scene_file import load_scene
 from torchlight.light.bases import Basis, HaarCubemap, SphericalHarmonics, Texels
 from torchlight.light.cubemap import texel_count
+from torchlight.observing import check_lit, empty_plane, linearize, observe, placed, visible_part
 from torchlight.photo.observation import Observation
 from torchlight.photo.tone import HALO, halo
-from torchlight.pipeline import (
-    Columns,
-    Estimate,
-    check_lit,
-    columns_for,
-    empty_plane,
-    explain,
-    explain_robustly,
-    linearize,
-    observe,
-    placed,
-    visible_part,
-)
+from torchlight.pipeline import Estimate, explain, explain_robustly
+from torchlight.precomputation import Columns, columns_for
 from torchlight.results import Provenance, select, write_result
 from torchlight.solvers import Solver, Status
 from torchlight.solvers.solution import CAUSE_AND_CURE

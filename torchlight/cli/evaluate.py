@@ -10,7 +10,7 @@ from torchlight.cli.progress import progress_bar
 from torchlight.io.images import read_photo
 from torchlight.io.lights import read_light
 from torchlight.io.scene_file import load_scene
-from torchlight.pipeline import check_lit, linearize, observe, placed
+from torchlight.observing import check_lit, linearize, observe, placed
 from torchlight.relighting import relight
 from torchlight.results import number, visibility
 

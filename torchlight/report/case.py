@@ -24,8 +24,8 @@ from torchlight.analysis.verdict import camera_azimuth, verdict
 from torchlight.errors import SceneError
 from torchlight.geometry.footprints import shown_samples
 from torchlight.geometry.scene import Scene
+from torchlight.observing import sample_photo, visible_part
 from torchlight.photo.observation import linear_photo
-from torchlight.pipeline import sample_photo, visible_part
 from torchlight.transfer import Transfer
 
 DETAIL = 16  # texels along a face's edge of the observability map: "16x16" in the verdict

@@ -1,0 +1,181 @@
+"""From stored photographs to samples of the receiver: what was seen, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchlight import metrics
+from torchlight.camera import project
+from torchlight.errors import CalibrationError, ConfigError, SceneError, TorchlightError
+from torchlight.geometry.footprints import footprint_points, subpoints_for, visible_samples
+from torchlight.geometry.receiver import sample_centers
+from torchlight.geometry.scene import Scene
+from torchlight.io.images import Photo, read_photo
+from torchlight.photo import radiometry, reference
+from torchlight.photo.observation import LinearPhoto, Observation, linear_photo
+from torchlight.photo.rectification import from_camera, from_rectified
+
+
+def linearize(photo: Photo, scene: Scene) -> LinearPhoto:
+    """Returns a stored photograph in linear units, with the pixels that saturation leaves.
+
+    Raises:
+        ConfigError: an 8- or 16-bit photograph whose encoding the scene does not state.
+    """
+    encoding = radiometry.resolve_encoding(scene.encoding, photo.bits)
+    response = None if scene.response is None else radiometry.Response(scene.response)
+    linear = linear_photo(radiometry.linearize(photo.pixels, encoding, scene.gamma, response))
+    return LinearPhoto(linear.radiance, linear.usable & ~radiometry.saturated(photo.pixels, photo.bits))
+
+
+def placed(scene: Scene, photo: Photo, name: str) -> Scene:
+    """Returns the scene with the camera of one photograph; the scene as it is where all share one, or none.
+
+    Raises:
+        CalibrationError: the photograph does not show enough of the board.
+    """
+    if scene.finder is None:
+        return scene
+    return replace(scene, camera=scene.finder(photo.pixels, photo.is_linear, name), finder=None)
+
+
+def observe(
+    photo: LinearPhoto,
+    scene: Scene,
+    visible: Bool[Tensor, " points"] | None = None,
+    empty: Observation | None = None,
+) -> Observation:
+    """Returns what photographs say about the receiver's samples, the scene's reference divided out.
+
+    Args:
+        photo: linear photographs.
+        scene: receiver, camera, mask and reference.
+        visible: from `visible_part`; computed when absent, worth keeping for many photographs.
+        empty: from `empty_plane`, likewise.
+
+    Raises:
+        CalibrationError: the photograph's size is not the camera's.
+        SceneError: no sample is visible. A photograph of which none is usable, or none is lit, is no error here, so
+            that it harms no other of its batch; `check_lit` tells.
+    """
+    visible = visible_part(scene) if visible is None else visible
+    observation = sample_photo(photo, scene, visible)
+    if scene.albedo_map is not None:
+        observation = reference.divide(observation, mapped_albedo(scene, scene.albedo_map, visible))
+    if scene.reference == "smooth":
+        return reference.divide(observation, reference.smooth(observation, sample_centers(scene.receiver)))
+    if scene.reference == "stack" and not scene.reference_photos and empty is None:
+        empty = reference.stack(observation)
+    empty = empty_plane(scene, visible) if empty is None else empty
+    return observation if empty is None else reference.divide(observation, reference.photographed(empty, observation))
+
+
+def empty_plane(
+    scene: Scene, visible: Bool[Tensor, " points"], photos: Sequence[str | Path] = ()
+) -> Observation | None:
+    """Returns what the plane shows without the object, as the references "photo" and "stack" find it; else None.
+
+    Args:
+        scene: receiver, camera, encoding, mask and reference.
+        visible: from `visible_part`.
+        photos: photographs of the call, of which "stack" is made where the scene lists none.
+
+    Raises:
+        TorchlightError: a photograph cannot be read or is not of the camera's size; too few for a stack.
+    """
+    if scene.reference not in ("photo", "stack"):
+        return None
+    shown = [sampled_file(file, scene, visible) for file in scene.reference_photos or photos]
+    if scene.reference == "photo":
+        return shown[0]
+    if not shown:
+        raise ConfigError("reference: stack has no photographs; list them as reference.photos")
+    return reference.stack(Observation(*(torch.stack(part) for part in zip(*map(parts_of, shown), strict=True))))
+
+
+def parts_of(observation: Observation) -> tuple[Tensor, Tensor]:
+    """Returns samples and weights."""
+    return observation.samples, observation.weights
+
+
+def sampled_file(file: str | Path, scene: Scene, visible: Bool[Tensor, " points"]) -> Observation:
+    """Returns what a photograph of the scene's camera shows of the receiver's samples; errors name the file."""
+    try:
+        photo = read_photo(file)
+        here = placed(scene, photo, str(file))
+        return sample_photo(linearize(photo, here), here, visible if here is scene else visible_part(here))
+    except TorchlightError as error:
+        raise type(error)(str(error) if str(file) in str(error) else f"reference: {file}: {error}") from error
+
+
+def mapped_albedo(
+    scene: Scene, albedo: Float[Tensor, "3 rows columns"], visible: Bool[Tensor, " points"]
+) -> reference.Reference:
+    """Returns the albedo of every sample, the exact mean of the map over it; 0 where any of it is unknown."""
+    known = LinearPhoto(albedo, (albedo > 0).all(dim=0))
+    return reference.Reference(from_rectified(known, scene.receiver.samples, visible).samples)
+
+
+def visible_part(scene: Scene) -> Bool[Tensor, " points"]:
+    """Returns which samples a photograph of the scene can show; with no camera the scene's mask counts here.
+
+    Raises:
+        SceneError: none.
+    """
+    visible = visible_samples(scene)
+    if scene.mask is not None and scene.camera is None and scene.finder is None:
+        kept = from_rectified(
+            LinearPhoto(scene.mask.float().expand(3, -1, -1), scene.mask), scene.receiver.samples, visible
+        )
+        visible = kept.weights > 0
+    if not bool(visible.any()):
+        seen = "is usable" if scene.camera is None else "that is usable"
+        what = "no sample of the receiver" if scene.camera is None else "the camera sees no sample of the receiver"
+        raise SceneError(f"{what} {seen}; check the pose, the receiver's place and size, and the mask")
+    return visible
+
+
+def sample_photo(photo: LinearPhoto, scene: Scene, visible: Bool[Tensor, " points"]) -> Observation:
+    """Returns the photograph averaged over every sample's footprint, before any reference."""
+    if scene.camera is None:
+        return from_rectified(photo, scene.receiver.samples, visible)
+    height, width = photo.radiance.shape[-2:]
+    if (width, height) != scene.camera.image_size:
+        raise CalibrationError(
+            f"the photograph has {width} x {height} pixels but camera.image_size says "
+            f"{scene.camera.image_size[0]} x {scene.camera.image_size[1]}; use the size the camera was calibrated at"
+        )
+    if scene.mask is not None:
+        photo = masked(photo, scene.mask)
+    points = footprint_points(scene.receiver, subpoints_for(scene.camera, scene.receiver))
+    return from_camera(photo, project(scene.camera, points), visible)
+
+
+def masked(photo: LinearPhoto, mask: Bool[Tensor, "height width"]) -> LinearPhoto:
+    """Returns the photograph without the pixels that the mask forbids; ConfigError where their sizes differ."""
+    if mask.shape != photo.usable.shape[-2:]:
+        (height, width), (rows, columns) = photo.usable.shape[-2:], mask.shape
+        raise ConfigError(
+            f"mask: {columns} x {rows} pixels, but the photograph has {width} x {height}; "
+            "draw the mask over the photograph at its full size"
+        )
+    return replace(photo, usable=photo.usable & mask.to(photo.usable.device))
+
+
+def check_lit(observation: Observation) -> None:
+    """Raises SceneError where a photograph has no usable sample or is black on all of them."""
+    usable = observation.weights > 0
+    if not bool(usable.any(dim=-1).all()):
+        raise SceneError(
+            "no sample of the photograph can be used: all are masked, saturated, not finite or hidden; "
+            "check the mask, the exposure and the camera's pose"
+        )
+    brightest = metrics.brightest(observation.samples, observation.weights)
+    if bool(brightest.isnan().any()):
+        raise SceneError("the photograph is black on the receiver; check that it is the right file and its exposure")
