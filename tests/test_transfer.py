@@ -274,7 +274,7 @@ def test_the_size_of_the_chunks_does_not_change_a_bit(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_the_number_of_threads_does_not_change_a_bit(monkeypatch: pytest.MonkeyPatch, threads: int) -> None:
     expected = block_transfer(subsamples=5).transport
-    monkeypatch.setattr("torchlight.geometry.threads.thread_count", lambda: threads)
+    monkeypatch.setattr("torchlight.threads.thread_count", lambda: threads)
     assert torch.equal(block_transfer(subsamples=5).transport, expected)
 
 

@@ -1,53 +1,5 @@
-"""Numba as every kernel uses it, and a word before its first compilation, which takes seconds.
+"""`torchlight.compiled` under its former name."""
 
-Machine code is kept on disk beside the kernels, or in the user's cache folder where that cannot be written
-(NUMBA_CACHE_DIR names another): a machine compiles once per version. Only then, once per process, the logger
-"torchlight" gets `ANNOUNCEMENT` as information; the command line prints it.
-"""
+from torchlight.compiled import ANNOUNCEMENT, compiled
 
-from __future__ import annotations
-
-import logging
-from collections.abc import Callable
-from typing import Any, no_type_check
-from weakref import WeakSet
-
-from numba import njit
-from numba.core import event
-
-ANNOUNCEMENT = "compiling once for this machine (about half a minute)"
-
-_kernels: WeakSet[Any] = WeakSet()
-
-
-@no_type_check
-def compiled(function: Callable[..., Any]) -> Any:
-    """Returns a function in machine code that releases the interpreter lock; compiled when first called.
-
-    Used above `no_type_check`, so that checkers of annotations leave the function alone.
-    """
-    dispatcher = njit(nogil=True, cache=True)(function)
-    _kernels.add(dispatcher)
-    return dispatcher
-
-
-class Announcer(event.Listener):
-    """Announces the first kernel that is compiled; what numba loads from its disk cache or compiles for others is not.
-
-    Numba broadcasts the event "numba:compile" where its disk cache holds nothing for a call.
-    """
-
-    def __init__(self) -> None:
-        self.silent = False
-
-    def on_start(self, event: Any) -> None:
-        """Announces a compilation that begins. Numba's compiler lock is held, so no two threads come here at once."""
-        if not self.silent and event.data["dispatcher"] in _kernels:
-            self.silent = True
-            logging.getLogger("torchlight").info(ANNOUNCEMENT)
-
-    def on_end(self, event: Any) -> None:
-        """Does nothing."""
-
-
-event.register("numba:compile", Announcer())
+__all__ = ["ANNOUNCEMENT", "compiled"]

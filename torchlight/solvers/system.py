@@ -113,8 +113,15 @@ def solve_systems(
 
 def by_weights(weights: Float[Tensor, "photos points"]) -> list[Tensor]:
     """Returns the photographs grouped by equal weights: a factor or Gram matrix serves a whole group."""
-    distinct, kind = torch.unique(weights, dim=0, return_inverse=True)
-    return [(kind == number).nonzero()[:, 0] for number in range(distinct.shape[0])]
+    return same_rows(weights)
+
+
+def same_rows(rows: Float[Tensor, "rows points"]) -> list[Int[Tensor, " some"]]:
+    """Returns the numbers of the rows, those of equal rows together, in the order in which they first appear."""
+    groups: dict[bytes, list[int]] = {}
+    for number, row in enumerate(rows.cpu().contiguous().numpy() + 0.0):  # -0 equals 0
+        groups.setdefault(row.tobytes(), []).append(number)
+    return [torch.tensor(numbers, device=rows.device) for numbers in groups.values()]
 
 
 def all_at_once(weights: Float[Tensor, "photos points"]) -> list[Tensor]:

@@ -1,0 +1,55 @@
+"""Work on all processors, results in order. Embree and torch release the interpreter lock, so threads are enough."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from itertools import islice
+from typing import TypeVar
+
+import torch
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def thread_count() -> int:
+    """Returns the number of threads to use: torch's (OMP_NUM_THREADS), at most the processors this process may use."""
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(processors, torch.get_num_threads())
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Lets every call of torch work on one thread: its sums then come out the same, bit by bit, on any machine.
+
+    Several threads of `ordered_map` may each make such calls; they still work side by side.
+    """
+    count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(count)
+
+
+def ordered_map(task: Callable[[Item], Result], items: Iterable[Item], count: int | None = None) -> Iterator[Result]:
+    """Yields task(item) for each item, in the items' order, computed on several threads: `thread_count` of them.
+
+    At most two items per thread are in flight, whatever their number; an error or Ctrl-C cancels the rest.
+    """
+    count = thread_count() if count is None else count
+    remaining = iter(items)
+    with ThreadPoolExecutor(count) as pool:
+        try:
+            waiting: deque[Future[Result]] = deque(pool.submit(task, item) for item in islice(remaining, 2 * count))
+            while waiting:
+                result = waiting.popleft().result()
+                waiting.extend(pool.submit(task, item) for item in islice(remaining, 1))
+                yield result
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
