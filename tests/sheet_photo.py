@@ -1,4 +1,7 @@
-"""Photographs of the printed sheet by a renderer of the tests' own: ray by ray, lens distortion, blur, noise, 8 bit."""
+"""Photographs of the printed sheet by a renderer of the tests' own: ray by ray, lens distortion, blur, noise, 8 bit.
+
+Blur and noise act on linear light; what is stored is sRGB codes.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from torchlight.report.sheet import DOTS_PER_INCH, sheet_png
 
 SHEET = make_sheet("A4")
 SUPERSAMPLING = 3
+INK, WHITE, TABLE = 10.0, 240.0, 60.0  # linear light of 255
 LENS = Lens(
     torch.tensor([[1450.0, 0, 801.3], [0, 1455.0, 597.1], [0, 0, 1]], dtype=torch.float64),
     (1600, 1200),
@@ -47,14 +51,21 @@ def looking_at(place: tuple[float, float, float], at: tuple[float, float, float]
 def photograph(
     camera: Camera, seed: int = 0, sheet: Sheet = SHEET, picture: NDArray[np.uint8] | None = None
 ) -> NDArray[np.uint8]:
-    """Returns a grey photograph of the sheet on a grey table: blurred by 0.6 pixels, 1 % noise of white, 8 bit."""
+    """Returns a grey photograph of the sheet on a grey table: blurred by 0.6 pixels, noise of 1 % of white."""
     picture = page() if picture is None else picture
     width, height = camera.image_size
-    photo = np.full((height, width), 90.0)
+    photo = np.full((height, width), TABLE)
     rows, columns = _around_the_page(camera, sheet)
     photo[rows, columns] = _rendered(camera, sheet, picture, rows, columns)
     noise = np.random.default_rng(seed).normal(0, 2.55, photo.shape)
-    return np.clip(np.round(photo + noise), 0, 255).astype(np.uint8)
+    return srgb(photo + noise)
+
+
+def srgb(light: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Returns the codes of linear light of 255, IEC 61966-2-1."""
+    share = np.clip(light / 255, 0, 1)
+    code = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
+    return np.round(255 * code).astype(np.uint8)
 
 
 def _around_the_page(camera: Camera, sheet: Sheet) -> tuple[slice, slice]:
@@ -77,8 +88,8 @@ def _rendered(
     scale = DOTS_PER_INCH / 25.4
     column = ((points[..., 0] + sheet.origin[0]) * scale - 0.5).astype(np.float32)
     row = (len(picture) - (points[..., 1] + sheet.origin[1]) * scale - 0.5).astype(np.float32)
-    paper = 40.0 + picture.astype(np.float32) * (200.0 / 255)
-    seen = cv2.remap(paper, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(90.0,))
+    paper = INK + picture.astype(np.float32) * ((WHITE - INK) / 255)
+    seen = cv2.remap(paper, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(TABLE,))
     seen = cv2.GaussianBlur(seen, (0, 0), 0.6 * SUPERSAMPLING)
     count = (rows.stop - rows.start, SUPERSAMPLING, columns.stop - columns.start, SUPERSAMPLING)
     return seen.reshape(count).mean(axis=(1, 3))

@@ -52,6 +52,7 @@ def test_target_writes_pdf_png_and_yaml_and_tells_the_elevations(tmp_path: Path,
     # to the right side of the clean white: 74.95 - 10 - 12 mm for a cylinder of 30 mm
     assert f"{np.degrees(np.arctan2(30, 52.95)):.1f} degrees or more above the plane" in said
     assert "shadows may fall on markers" in said
+    assert "the light's azimuth is seen, its height is not" in said
     assert "below" in said
 
 

@@ -64,6 +64,12 @@ def test_markers_of_the_sheet_are_seen_where_the_camera_projects_them() -> None:
     assert distance.max().item() < 0.3
 
 
+def test_all_markers_are_read_at_a_slant_from_a_metre() -> None:
+    for place in ((0.0, -700.0, 714.0), (500.0, -500.0, 707.0)):
+        view = detect(SHEET, photograph(LENS.at(looking_at(place, (0.0, 0.0, 0.0), 15.0))), "photo")
+        assert len(view.points) == 4 * len(SHEET.markers)
+
+
 def test_any_four_markers_suffice_and_three_do_not() -> None:
     camera = LENS.at(looking_at((0.0, -300.0, 500.0), (0.0, 0.0, 0.0)))
     picture = photograph(camera)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sheet_photo import srgb
 
 from torchlight.photo.marker_edges import refined_corners
 
@@ -13,24 +14,33 @@ FINE = 16
 
 
 def blurred(corners: NDArray[np.float64], blur: float, shade: float = 0.0, noise: float = 0.0) -> NDArray[np.uint8]:
-    """Returns a dark square on white, sampled at 16 times the resolution; pixel centres at integers."""
+    """Returns a dark square on white, sampled at 16 times the resolution, blurred in linear light, stored as sRGB."""
     place = (np.arange(80 * FINE, dtype=np.float32) + 0.5) / FINE - 0.5
     x, y = np.meshgrid(place, place)
     inside = np.ones_like(x, dtype=bool)
     for begin, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         inside &= (end[0] - begin[0]) * (y - begin[1]) - (end[1] - begin[1]) * (x - begin[0]) > 0
-    canvas = np.where(inside, np.float32(30), np.float32(220))
+    canvas = np.where(inside, np.float32(8), np.float32(220))
     canvas *= 1 - shade * np.linspace(0, 1, 80 * FINE, dtype=np.float32)
     canvas = cv2.GaussianBlur(canvas, (0, 0), blur * FINE)
     small = canvas.reshape(80, FINE, 80, FINE).mean(axis=(1, 3))
     small += np.random.default_rng(1).normal(0, noise, small.shape)
-    return np.clip(np.round(small), 0, 255).astype(np.uint8)
+    return srgb(small.astype(np.float64))
 
 
 def turned_square(degrees: float, side: float = 32.0) -> NDArray[np.float64]:
     angle = np.radians(degrees)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2 @ turn.T + (40.3, 39.1)
+
+
+@pytest.mark.parametrize("blur", [0.5, 0.8, 1.2])
+def test_a_dark_square_is_as_large_as_it_is_although_codes_favour_the_bright_side(blur: float) -> None:
+    true = turned_square(20.0)
+    found = refined_corners(blurred(true, blur), true.astype(np.float32), 6)
+    outward = (true - true.mean(axis=0)) / np.linalg.norm(true - true.mean(axis=0), axis=1, keepdims=True)
+    growth = ((found - true) * outward).sum(axis=1)
+    assert np.abs(growth).max() < 0.04
 
 
 @pytest.mark.parametrize("degrees", [0.0, 7.0, 33.0])

@@ -74,14 +74,18 @@ def block_renderer(
     return values
 
 
-def constant_per_pixel(environment: EnvironmentMap) -> np.ndarray:
+def constant_per_pixel(environment: EnvironmentMap, rows_at_least: int | None = None) -> np.ndarray:
     """Returns the upper half of a map, [rows, columns, 3], for Mitsuba's bilinear interpolation; black below.
 
     Every pixel is repeated k x k times, and rows of sample points are added on the edges between pixels, where they
     hold the mean of both: k H + 1 rows at theta = i pi / (k H).
+
+    Args:
+        environment: H rows.
+        rows_at_least: of k H, k being at least 2; None = FINE_ROWS.
     """
     height = environment.height
-    fine = max(2, math.ceil(FINE_ROWS / height))
+    fine = max(2, math.ceil((FINE_ROWS if rows_at_least is None else rows_at_least) / height))
     radiance = environment.radiance.float().clone()
     radiance[:, height // 2 :] = 0.0
     turned = to_latlong(radiance, "mitsuba").repeat_interleave(fine, dim=-1)

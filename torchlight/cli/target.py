@@ -38,7 +38,8 @@ def verdict(sheet: Sheet, prop: Prop, reach: Reach) -> list[str]:
     return [
         f"object {prop.height:g} mm tall: its shadow stays on the clean white, {width:g} x {height:g} mm, "
         f"while the light is {reach.inside_degrees:.1f} degrees or more above the plane",
-        f"down to {reach.sheet_degrees:.1f} degrees it stays on the sheet: {between}",
+        f"down to {reach.sheet_degrees:.1f} degrees it stays on the sheet: {between}; but its end may leave the white, "
+        "and then the light's azimuth is seen, its height is not",
         f"below {reach.sheet_degrees:.1f} degrees it may leave the sheet: choose a lower object or a larger paper",
         f"scene file: receiver: {{size: [{width:g}, {height:g}], samples: [{width / 2:.0f}, {height / 2:.0f}]}}",
     ]

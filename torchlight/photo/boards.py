@@ -24,7 +24,8 @@ from torchlight.photo.target import Sheet, marker_corners
 MIN_MARKERS = 4
 MIN_CORNERS = 6
 MAX_WINDOW = 11  # half a side, in pixels: more adds nothing but lens distortion
-WINDOW_SHARE = 3  # the window reaches a third of the way to the nearest corner, so that foreshortening is no matter
+WINDOW_SHARE = 4  # the window reaches a quarter of the way to the nearest corner: clear of a rim that cuts its squares
+PIXELS_PER_CELL = 8  # of a marker, where its cells are read; at OpenCV's 4, blurred markers of 25 pixels are lost
 _TERMINATION = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
 _UPWARDS = torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)
 
@@ -37,7 +38,7 @@ class Chessboard:
         columns: inner corners along a row.
         rows: inner corners along a column.
         square: side of a square.
-        window: half the side of the patch that locates a corner, in pixels; None = a third of the way to the nearest
+        window: half the side of the patch that locates a corner, in pixels; None = a quarter of the way to the nearest
             other corner, at most 11.
     """
 
@@ -196,7 +197,9 @@ def _charuco_corners(board: Charuco, grey: NDArray[np.uint8], legacy: bool) -> t
 
 def _sheet(sheet: Sheet, grey: NDArray[np.uint8], name: str) -> tuple[Tensor, Tensor]:
     dictionary = named_dictionary(sheet.dictionary)
-    detector = cv2.aruco.ArucoDetector(dictionary)
+    settings = cv2.aruco.DetectorParameters()
+    settings.perspectiveRemovePixelPerCell = PIXELS_PER_CELL
+    detector = cv2.aruco.ArucoDetector(dictionary, settings)
     corners, identities, _ = detector.detectMarkers(grey)
     numbers = [] if identities is None else np.asarray(identities, dtype=np.int64).ravel().tolist()
     of_sheet = [index for index, number in enumerate(numbers) if number < len(sheet.markers)]

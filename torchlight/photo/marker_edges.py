@@ -2,6 +2,10 @@
 
 A corner itself is a few blurred pixels; its two sides are many. Across a blurred step from dark D to bright B, at any
 blur and any brightness, the profile's area tells where the step is: distance = integral of (v - D) / (B - D).
+
+Lens and sensor blur light, not codes: v is linear light. On sRGB codes, which favour the bright side, every dark square
+would be too small, by 0.2 pixels on each side where the photograph is sharp and 0.6 where it is blurred by 1.2 pixels;
+a sheet 1 m away would seem 0.15 mm farther at a focal length of 1450 pixels.
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ def refined_corners(
     """Returns a marker's corners, refined; a corner whose sides are not clear is OpenCV's `cornerSubPix`.
 
     Args:
-        grey: the photograph.
+        grey: the photograph, sRGB codes.
         corners: as a detector found them, in order around the marker.
         cells: along a marker's side, its black rim included.
     """
@@ -40,7 +44,7 @@ def refined_corners(
 def _refined(grey: NDArray[np.uint8], corners: NDArray[np.floating], cells: int) -> NDArray[np.float64]:
     start = _by_gradients(grey, corners, cells)
     farthest = FARTHEST * np.linalg.norm(start - np.roll(start, -1, axis=0), axis=1).min() / cells
-    values = grey.astype(np.float32)
+    values = _linear_light(grey)
     result = start
     for _ in range(ROUNDS):
         area = float(cv2.contourArea(result.astype(np.float32)))
@@ -49,6 +53,13 @@ def _refined(grey: NDArray[np.uint8], corners: NDArray[np.floating], cells: int)
         near = [np.linalg.norm(point - begin) <= farthest for point, begin in zip(crossed, start, strict=True)]
         result = np.where(np.array(near)[:, None], np.stack(crossed), start)
     return result
+
+
+def _linear_light(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Returns what sRGB codes stand for, IEC 61966-2-1."""
+    code = np.arange(256) / 255
+    light = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    return light.astype(np.float32)[grey]
 
 
 def _by_gradients(grey: NDArray[np.uint8], corners: NDArray[np.floating], cells: int) -> NDArray[np.float64]:

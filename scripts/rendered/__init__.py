@@ -1,0 +1,1 @@
+"""Photographs rendered by Mitsuba, and what is measured on them."""
