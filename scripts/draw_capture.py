@@ -1,4 +1,10 @@
-"""Draws the pictures of docs/capture.md: the sheet, and the evidence of a calibration from rendered photographs."""
+"""Draws the pictures of docs/capture.md; no photograph is needed, all are drawn or rendered.
+
+    python scripts/draw_capture.py
+
+target.png: the sheet, and a rendered photograph of it. calibration.png: the evidence of a calibration from rendered
+photographs. place.png: where to stand. objects.png: which object. avoid.png: what spoils a photograph.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +14,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from capture.avoid import avoid_picture
+from capture.objects import objects_picture
+from capture.place import place_picture
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from torchlight.calibration import without_outliers
@@ -23,7 +32,15 @@ PLACES = [
 
 
 def main() -> None:
-    """Writes docs/images/target.png and docs/images/calibration.png."""
+    """Writes all five pictures to docs/images."""
+    (IMAGES / "place.png").write_bytes(place_picture(tests.SHEET))
+    (IMAGES / "objects.png").write_bytes(objects_picture())
+    (IMAGES / "avoid.png").write_bytes(avoid_picture())
+    draw_sheet_and_calibration()
+
+
+def draw_sheet_and_calibration() -> None:
+    """Writes target.png and calibration.png."""
     views, pictures = [], []
     for k, (x, y, z) in enumerate(PLACES):
         aim = (18.0 * k - 63, 60.0 - 17 * k, 0.0)
