@@ -1,7 +1,7 @@
 """Calibrates from published photographs and compares with the published cameras: `--data DIR` holds them.
 
-Prints one table. The chessboards of OpenCV appear twice: as published (patches of 23 pixels, every
-photograph) and by default, where a patch stays clear of the next corner.
+Prints one table. The chessboards of OpenCV appear three times: as published (patches of 23 pixels, every
+photograph), without the photograph that does not fit, and by default, where a patch stays clear of the board's rim.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ def main() -> None:
     published = four(read_lens(data / "calib" / "opencv_chessboard" / "left_intrinsics.yml"))
     print(f"{'photographs':34} {'used':>5} {'rms':>7} {'fx':>9} {'fy':>9} {'cx':>9} {'cy':>9}  off the published, %")
     row("OpenCV left, --window 11 --keep-all", calibrate(seen(left, Chessboard(9, 6, 25.0, 11))), published)
+    row("OpenCV left, --window 11", without_outliers(seen(left, Chessboard(9, 6, 25.0, 11))), published)
     row("OpenCV left, default", without_outliers(seen(left, Chessboard(9, 6, 25.0))), published)
     row("desk_pencil, default", without_outliers(seen(desk, Chessboard(9, 6, 28.0))), DESK)
     charuco(data / "calib" / "opencv_charuco")

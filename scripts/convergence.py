@@ -30,7 +30,6 @@ from torchlight.geometry.analytic_shadow import Block, block_irradiance
 from torchlight.geometry.footprints import visible_samples
 from torchlight.geometry.receiver import Receiver, receiver_points
 from torchlight.geometry.scene import Scene
-from torchlight.geometry.threads import ordered_map
 from torchlight.geometry.visibility import scene_occlusion
 from torchlight.light import cubemap
 from torchlight.light.overlap import latlong_to_texels
@@ -38,6 +37,7 @@ from torchlight.light.procedural import sun_and_window
 from torchlight.metrics import rms_255
 from torchlight.precomputation import DIRECTIONS_PER_EDGE
 from torchlight.synthetic import block_scene
+from torchlight.threads import ordered_map
 from torchlight.transfer import transport
 
 RECEIVER = Receiver(center=(0.0, 0.0), size=(4.0, 4.0), samples=(64, 64))

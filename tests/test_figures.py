@@ -9,6 +9,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 import torch
+from matplotlib.colors import to_rgba
 from PIL import Image
 from torch import Tensor
 from torch.testing import assert_close
@@ -16,7 +17,7 @@ from torch.testing import assert_close
 from torchlight import figures
 from torchlight.geometry.receiver import Receiver
 from torchlight.light.environment import EnvironmentMap
-from torchlight.photo.observation import Observation
+from torchlight.photo.observation import Observation, Rejection
 
 RECEIVER = Receiver((1.0, -1.0), (4.0, 3.0), (4, 3))
 
@@ -50,6 +51,20 @@ def test_the_picture_is_row_0_at_the_largest_y() -> None:
 
 def test_the_extent_is_the_receivers() -> None:
     assert figures._extent(RECEIVER) == (-1.0, 3.0, -2.5, 0.5)
+
+
+@pytest.mark.parametrize("why", [Rejection.SATURATED, Rejection.SPECULAR, Rejection.ROBUST])
+def test_what_was_left_out_has_its_colour_in_two_panels_and_a_legend(why: Rejection) -> None:
+    seen = observation()
+    plain = pixels(figures.fit_picture(seen, seen.samples, RECEIVER, "mm", "title")).astype(int)
+    lost = replace(seen, rejected=torch.where(seen.weights == 0, why.value, 0).to(torch.uint8))
+    image = pixels(figures.fit_picture(lost, lost.samples, RECEIVER, "mm", "title")).astype(int)
+    colour = np.array([round(255 * part) for part in to_rgba(figures.REJECTED[why][0])[:3]])
+    shown, before = ((abs(part[..., :3] - colour).max(axis=-1) <= 1) for part in (image, plain))
+    halves = [int(shown[: -len(image) // 6, half].sum()) for half in (slice(0, 480), slice(980, None))]
+    assert min(halves) > 2000
+    assert int(shown[-len(image) // 6 :].sum()) > 20
+    assert int(before.sum()) == 0
 
 
 def test_a_perfect_fit_leaves_a_white_residual_and_grey_where_nothing_was_used() -> None:

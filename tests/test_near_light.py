@@ -106,3 +106,8 @@ def test_what_tells_nothing_is_none() -> None:
     assert near_light(SCENE, replace(observation, weights=torch.zeros_like(observation.weights))) is None
     assert near_light(SCENE, replace(observation, samples=torch.zeros_like(observation.samples))) is None
     assert near_light(replace(SCENE, triangles=torch.zeros(0, 3, 3)), observation) is None
+
+
+def test_a_plane_without_the_shadow_that_it_should_have_tells_nothing() -> None:
+    even = torch.full((3, RECEIVER.points), 0.5, dtype=torch.float64)
+    assert near_light(SCENE, Observation(even, torch.ones(RECEIVER.points, dtype=torch.float64))) is None

@@ -14,6 +14,7 @@ import torch
 from safetensors.torch import load_file
 from torch.testing import assert_close
 
+from torchlight.camera import Camera, Sighting
 from torchlight.errors import FormatError
 from torchlight.geometry.primitives import box
 from torchlight.geometry.receiver import Receiver
@@ -21,7 +22,7 @@ from torchlight.geometry.scene import Scene
 from torchlight.light.bases import Texels
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.peaks import Peaks
-from torchlight.photo.observation import Observation
+from torchlight.photo.observation import Observation, Rejection
 from torchlight.pipeline import Estimate
 from torchlight.results import Provenance, found_peaks, light_is, number, select, summary, versions, write_result
 from torchlight.solvers import Solution, Status
@@ -72,6 +73,28 @@ def test_figures_by_hand() -> None:
         "scene_sha256": "5" * 64,
     }
     assert {key: found[key] for key in expected} == expected
+
+
+def test_what_was_left_out_is_counted_by_its_reason() -> None:
+    seen = by_hand((2,))
+    why = [[Rejection.NONE, Rejection.SPECULAR, Rejection.ROBUST, Rejection.ROBUST], [Rejection.SATURATED] * 4]
+    both = replace(seen, observation=replace(seen.observation, rejected=torch.tensor(why, dtype=torch.uint8)))
+    found = [summary(select(both, item), SCENE, PROVENANCE)["rejected"] for item in (0, 1)]
+    assert found == [{"saturated": 0, "specular": 1, "robust": 2}, {"saturated": 4, "specular": 0, "robust": 0}]
+    unknown = summary(by_hand(), SCENE, PROVENANCE)
+    assert unknown["rejected"] == {"saturated": 0, "specular": 0, "robust": 0}
+    assert unknown["saturated_samples"] == "dropped"
+
+
+def test_a_pose_from_a_board_is_recorded_and_another_is_not() -> None:
+    pose = torch.eye(4, dtype=torch.float64)
+    camera = Camera(torch.eye(3, dtype=torch.float64), pose, (4, 3), torch.zeros(5, dtype=torch.float64))
+    sighting = Sighting(0.07, 56, 14, 0.02, 0.01, "a" * 64, "b" * 64)
+    found = [
+        summary(by_hand(), SCENE, replace(PROVENANCE, camera=given))["camera"]
+        for given in (None, camera, replace(camera, sighting=sighting))
+    ]
+    assert found == [None, None, {"world_to_camera": pose.tolist(), **vars(sighting)}]
 
 
 def test_what_json_cannot_hold_is_null() -> None:

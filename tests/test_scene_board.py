@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from dataclasses import replace
@@ -10,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from kornia.color import linear_rgb_to_rgb
+from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from numpy.typing import NDArray
-from sheet_photo import LENS, SHEET, looking_at, photograph
+from sheet_photo import LENS, SHEET, WHITE, looking_at, photograph
 from torch.testing import assert_close
 from workbench import torchlight
 
@@ -71,7 +72,8 @@ def shaded(camera: Camera, seed: int) -> NDArray[np.uint8]:
     middle = (SHEET.paper[0] / 2 - SHEET.origin[0], SHEET.paper[1] / 2 - SHEET.origin[1])
     triangles = transform(box((30.0, 20.0, 35.0)), 1.0, (0.0, 0.0, 30.0), (0.0, 0.0, 0.0))
     view = camera_view(Scene(triangles, Receiver(middle, size, (160, 224)), camera), camera, lamp(), 2048)
-    paper = torch.from_numpy(photograph(camera, seed).astype(np.float32)) / 240
+    codes = torch.from_numpy(photograph(camera, seed).astype(np.float32))
+    paper = rgb_to_linear_rgb((codes / 255).expand(3, -1, -1)) * (255 / WHITE)
     linear = view.values / view.values.max() * 0.9 * paper
     return (linear_rgb_to_rgb(linear.clamp(0, 1)) * 255).round().byte().permute(1, 2, 0).contiguous().numpy()
 
@@ -108,8 +110,14 @@ def test_estimate_finds_the_lamp_from_photographs_of_two_poses(folder: Path, tmp
     assert ran.code == 1
     assert "wall.png: no markers of the sheet are seen" in ran.err
     assert "front.png: pose from" in ran.err
-    for name in POSES:
-        peak = json.loads((tmp_path / name / "result.json").read_text())["peak_direction"]
+    for name, pose in POSES.items():
+        result = json.loads((tmp_path / name / "result.json").read_text())
+        camera, peak = result["camera"], result["peak_direction"]
+        assert_close(torch.tensor(camera["world_to_camera"]).double(), pose, atol=0.3, rtol=0)
+        assert 0 < camera["rms_pixels"] < 0.3
+        assert 4 <= camera["markers"] <= len(SHEET.markers)
+        assert camera["intrinsics_sha256"] == hashlib.sha256((folder / "camera.yml").read_bytes()).hexdigest()
+        assert camera["board_sha256"] == hashlib.sha256((folder / "target.yaml").read_bytes()).hexdigest()
         cosine = sum(a * b for a, b in zip(peak, LAMP, strict=True))
         assert math.degrees(math.acos(cosine)) < 1
 

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from torchlight.cli import main
+from torchlight.compiled import ANNOUNCEMENT
 from torchlight.geometry.analytic_shadow import Block
-from torchlight.geometry.compiled import ANNOUNCEMENT
 from torchlight.geometry.receiver import Receiver
 from torchlight.io.exr import write_exr
 from torchlight.io.images import write_png

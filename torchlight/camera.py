@@ -17,6 +17,29 @@ from torchlight.errors import CalibrationError
 DISTORTION_LENGTHS = (4, 5, 8, 12, 14)
 
 
+@dataclass(frozen=True)
+class Sighting:
+    """How sure a pose is that was found from the board in a photograph.
+
+    Attributes:
+        rms_pixels: of the predicted minus the seen corners.
+        corners: that the pose is made of.
+        markers: that are seen.
+        position_deviation: standard deviation of the board's origin in camera axes, in the board's unit.
+        turn_deviation_degrees: standard deviation of the orientation.
+        intrinsics_sha256: of the file that K and the distortion come from; empty where there is none.
+        board_sha256: of the file that says where the markers lie; likewise.
+    """
+
+    rms_pixels: float
+    corners: int
+    markers: int
+    position_deviation: float
+    turn_deviation_degrees: float
+    intrinsics_sha256: str = ""
+    board_sha256: str = ""
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """Intrinsics, distortion and pose of one photograph.
@@ -26,12 +49,14 @@ class Camera:
         world_to_camera: rigid transform [R|t; 0 0 0 1] of column vectors, translation in the scene's unit.
         image_size: width and height in pixels.
         distortion: OpenCV order k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; zeros = none.
+        sighting: how sure the pose is, where it was found from a board; else None.
     """
 
     intrinsics: Float[Tensor, "3 3"]
     world_to_camera: Float[Tensor, "4 4"]
     image_size: tuple[int, int]
     distortion: Float[Tensor, " parameters"]
+    sighting: Sighting | None = None
 
     def __post_init__(self) -> None:
         check_intrinsics(self.intrinsics)

@@ -14,14 +14,21 @@ from jaxtyping import Float
 from kornia.color import linear_rgb_to_rgb
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch
 from torch import Tensor
 
 from torchlight.geometry.receiver import Receiver
 from torchlight.light.environment import EnvironmentMap, flux, luminance
-from torchlight.photo.observation import Observation
+from torchlight.photo.observation import Observation, Rejection
 
 UNUSED = 0.55  # grey of samples that were not used
+REJECTED = {  # after Okabe and Ito: told apart with every common colour blindness
+    Rejection.SATURATED: ("#D55E00", "saturated"),
+    Rejection.SPECULAR: ("#F0E442", "glint"),
+    Rejection.ROBUST: ("#56B4E9", "let go of by --robust"),
+}
 PREVIEW_PERCENTILE = 98.0
 PREVIEW_LEVEL = 0.8  # linear value given to that percentile of the pixels that hold light
 DIVERGING = "PuOr"  # readable with every common colour blindness
@@ -55,7 +62,8 @@ def fit_picture(
     """Returns a PNG of the observed and the predicted receiver and of their difference, with scales.
 
     Observed and predicted are shown as sRGB with white at the brightest used sample; the difference is that of the
-    luminance, predicted - observed, in 255ths of the same white. Samples that were not used are grey.
+    luminance, predicted - observed, in 255ths of the same white. Samples that were not used are grey; those that the
+    camera sees and that were left out have the colour of their `Rejection` in the first and the last picture.
     """
     used = observation.weights > 0
     white = observation.samples[:, used].max().item()
@@ -68,6 +76,7 @@ def fit_picture(
     for axis, values, name in zip(axes[:2], (observation.samples, predicted), names, strict=True):
         axis.imshow(_picture(values / white, used, receiver), extent=extent, interpolation="nearest")
         _label(axis, name, units)
+    _draw_rejected((axes[0], axes[2]), observation, receiver)
     shown = torch.where(used, difference, torch.nan).reshape(receiver.samples[::-1]).flip(0).numpy(force=True)
     colours = mpl.colormaps[DIVERGING].with_extremes(bad=(UNUSED, UNUSED, UNUSED))
     image = axes[2].imshow(shown, extent=extent, cmap=colours, vmin=-limit, vmax=limit, interpolation="nearest")
@@ -75,6 +84,24 @@ def fit_picture(
     figure.colorbar(image, ax=axes[2], shrink=0.85, extend="both", label="255ths of the brightest sample")
     figure.suptitle(title, fontsize=11, parse_math=False)
     return png_bytes(figure)
+
+
+def _draw_rejected(axes: Sequence[Axes], observation: Observation, receiver: Receiver) -> None:
+    """Colours the samples that were left out, above everything, and says how many there are below the first axis."""
+    columns, rows = receiver.samples
+    grid = observation.rejections.reshape(rows, columns).flip(0).cpu().numpy()
+    handles = []
+    for why, (colour, name) in REJECTED.items():
+        count = int((grid == why).sum())
+        if count == 0:
+            continue
+        layer = np.zeros((rows, columns, 4))
+        layer[grid == why] = to_rgba(colour)
+        for axis in axes:
+            axis.imshow(layer, extent=_extent(receiver), interpolation="nearest", zorder=2)
+        handles.append(Patch(facecolor=colour, edgecolor="0.4", label=f"{name}: {count} samples"))
+    if handles:
+        axes[0].figure.legend(handles=handles, loc="outside lower left", ncols=len(handles), fontsize=9, frameon=False)
 
 
 def preview(environment: EnvironmentMap) -> Preview:

@@ -18,8 +18,9 @@ from torchlight.geometry.receiver import sample_centers
 from torchlight.geometry.scene import Scene
 from torchlight.io.images import Photo, read_photo
 from torchlight.photo import radiometry, reference
-from torchlight.photo.observation import LinearPhoto, Observation, linear_photo
+from torchlight.photo.observation import LinearPhoto, Observation, Rejection, linear_photo
 from torchlight.photo.rectification import from_camera, from_rectified
+from torchlight.photo.specular import without_glints
 
 
 def linearize(photo: Photo, scene: Scene) -> LinearPhoto:
@@ -31,7 +32,8 @@ def linearize(photo: Photo, scene: Scene) -> LinearPhoto:
     encoding = radiometry.resolve_encoding(scene.encoding, photo.bits)
     response = None if scene.response is None else radiometry.Response(scene.response)
     linear = linear_photo(radiometry.linearize(photo.pixels, encoding, scene.gamma, response))
-    return LinearPhoto(linear.radiance, linear.usable & ~radiometry.saturated(photo.pixels, photo.bits))
+    saturated = radiometry.saturated(photo.pixels, photo.bits)
+    return LinearPhoto(linear.radiance, linear.usable & ~saturated, saturated)
 
 
 def placed(scene: Scene, photo: Photo, name: str) -> Scene:
@@ -42,7 +44,8 @@ def placed(scene: Scene, photo: Photo, name: str) -> Scene:
     """
     if scene.finder is None:
         return scene
-    return replace(scene, camera=scene.finder(photo.pixels, photo.is_linear, name), finder=None)
+    linear = photo.is_linear or scene.encoding == "linear"
+    return replace(scene, camera=scene.finder(photo.pixels, linear, name), finder=None)
 
 
 def observe(
@@ -51,7 +54,7 @@ def observe(
     visible: Bool[Tensor, " points"] | None = None,
     empty: Observation | None = None,
 ) -> Observation:
-    """Returns what photographs say about the receiver's samples, the scene's reference divided out.
+    """Returns what photographs say about the receiver's samples, the scene's reference divided out, without glints.
 
     Args:
         photo: linear photographs.
@@ -65,7 +68,14 @@ def observe(
             that it harms no other of its batch; `check_lit` tells.
     """
     visible = visible_part(scene) if visible is None else visible
-    observation = sample_photo(photo, scene, visible)
+    shown = referenced(sample_photo(photo, scene, visible), scene, visible, empty)
+    return without_glints(shown, scene.receiver.samples)
+
+
+def referenced(
+    observation: Observation, scene: Scene, visible: Bool[Tensor, " points"], empty: Observation | None = None
+) -> Observation:
+    """Returns samples with the scene's reference divided out; the arguments are those of `observe`."""
     if scene.albedo_map is not None:
         observation = reference.divide(observation, mapped_albedo(scene, scene.albedo_map, visible))
     if scene.reference == "smooth":
@@ -142,19 +152,41 @@ def visible_part(scene: Scene) -> Bool[Tensor, " points"]:
 
 
 def sample_photo(photo: LinearPhoto, scene: Scene, visible: Bool[Tensor, " points"]) -> Observation:
-    """Returns the photograph averaged over every sample's footprint, before any reference."""
+    """Returns the photograph averaged over every sample's footprint, before any reference; saturated ones dropped."""
+    footprints = footprint_pixels(photo, scene)
+    if scene.mask is not None and scene.camera is not None:
+        photo = masked(photo, scene.mask)
+
+    def sampled(photo: LinearPhoto) -> Observation:
+        if footprints is None:
+            return from_rectified(photo, scene.receiver.samples, visible)
+        return from_camera(photo, footprints, visible)
+
+    observation = sampled(photo)
+    if photo.saturated is None or not bool(photo.saturated.any()):
+        return observation
+    bounded = sampled(LinearPhoto(torch.zeros_like(photo.radiance), photo.usable | photo.saturated)).weights > 0
+    lost = bounded & (observation.weights == 0)
+    return replace(observation, rejected=(lost * Rejection.SATURATED.value).to(torch.uint8))
+
+
+def footprint_pixels(photo: LinearPhoto, scene: Scene) -> Float[Tensor, "points sub 2"] | None:
+    """Returns where the photograph shows the points of each sample's footprint; None where it is rectified.
+
+    Raises:
+        CalibrationError: the photograph's size is not the camera's.
+    """
     if scene.camera is None:
-        return from_rectified(photo, scene.receiver.samples, visible)
+        return None
     height, width = photo.radiance.shape[-2:]
     if (width, height) != scene.camera.image_size:
         raise CalibrationError(
             f"the photograph has {width} x {height} pixels but camera.image_size says "
-            f"{scene.camera.image_size[0]} x {scene.camera.image_size[1]}; use the size the camera was calibrated at"
+            f"{scene.camera.image_size[0]} x {scene.camera.image_size[1]}; use the size the camera was calibrated at, "
+            "not cropped, not turned"
         )
-    if scene.mask is not None:
-        photo = masked(photo, scene.mask)
     points = footprint_points(scene.receiver, subpoints_for(scene.camera, scene.receiver))
-    return from_camera(photo, project(scene.camera, points), visible)
+    return project(scene.camera, points)
 
 
 def masked(photo: LinearPhoto, mask: Bool[Tensor, "height width"]) -> LinearPhoto:
@@ -165,7 +197,9 @@ def masked(photo: LinearPhoto, mask: Bool[Tensor, "height width"]) -> LinearPhot
             f"mask: {columns} x {rows} pixels, but the photograph has {width} x {height}; "
             "draw the mask over the photograph at its full size"
         )
-    return replace(photo, usable=photo.usable & mask.to(photo.usable.device))
+    kept = mask.to(photo.usable.device)
+    saturated = None if photo.saturated is None else photo.saturated & kept
+    return LinearPhoto(photo.radiance, photo.usable & kept, saturated)
 
 
 def check_lit(observation: Observation) -> None:

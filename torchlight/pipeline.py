@@ -140,7 +140,8 @@ def explain_robustly(
     """Returns `explain`, repeated with the weights of `robust_weights`; what it let go of has the weight 0."""
     estimate = explain(observation, scene, transfer, basis, solver)
     for _ in range(ROBUST_ROUNDS):
-        estimate = explain(robust_weights(observation, estimate.predicted), scene, transfer, basis, solver)
+        weighted = robust_weights(observation, estimate.predicted, scene.receiver.samples)
+        estimate = explain(weighted, scene, transfer, basis, solver)
     return estimate
 
 

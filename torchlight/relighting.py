@@ -11,10 +11,10 @@ from torch import Tensor
 from torchlight.errors import ConfigError
 from torchlight.geometry.receiver import Receiver, receiver_points
 from torchlight.geometry.scene import Scene
-from torchlight.geometry.threads import ordered_map
 from torchlight.geometry.visibility import scene_occlusion
 from torchlight.light.cubature import cubature
 from torchlight.light.environment import EnvironmentMap
+from torchlight.threads import ordered_map
 
 RAYS = 131_072  # directions per map; halving the error of a soft sky costs 2.5 times as many
 MAX_RAYS = 2**24

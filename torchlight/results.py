@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from torchlight import figures, metrics
+from torchlight.camera import Camera
 from torchlight.fates import NAMES, fate_counts, fates_picture
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.quadtree import quadtree
@@ -24,8 +25,10 @@ from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.peaks import Peaks
-from torchlight.photo.observation import Observation
+from torchlight.near_light.verdict import NearLight
+from torchlight.photo.observation import Observation, Rejection
 from torchlight.pipeline import Estimate
+from torchlight.placement import Placement
 from torchlight.solvers import Status
 
 CONVENTION = "torchlight: Z up, row 0 = zenith, image centre looks along +X (Blender's lat-long)"
@@ -55,6 +58,9 @@ class Provenance:
         solver: nnls, ridge or adam.
         seconds: by stage.
         exif: what the camera wrote beside the photograph.
+        placement: how far the object was moved; None where that was not asked for.
+        camera: of the photograph; None where it is rectified.
+        near: what the photograph tells of the distance of its light; None where that was not asked or cannot be told.
     """
 
     scene_sha256: str
@@ -64,6 +70,9 @@ class Provenance:
     solver: str
     seconds: Mapping[str, float]
     exif: Exif = field(default_factory=Exif)
+    placement: Placement | None = None
+    camera: Camera | None = None
+    near: NearLight | None = None
 
 
 def select(estimate: Estimate, item: int) -> Estimate:
@@ -74,11 +83,17 @@ def select(estimate: Estimate, item: int) -> Estimate:
         light=EnvironmentMap(estimate.light.radiance[item], bool((estimate.light.radiance[item] >= 0).all())),
         solution=replace(solution, **{name: getattr(solution, name)[item] for name in fields}),
         basis=estimate.basis,
-        observation=Observation(estimate.observation.samples[item], estimate.observation.weights[item]),
+        observation=of_item(estimate.observation, item),
         predicted=estimate.predicted[item],
         peaks=Peaks(estimate.peaks.directions[item], estimate.peaks.shares[item]),
         refinement=None if estimate.refinement is None else of_photo(estimate.refinement, item),
     )
+
+
+def of_item(observation: Observation, item: int) -> Observation:
+    """Returns what one photograph of a batch showed."""
+    rejected = None if observation.rejected is None else observation.rejected[item]
+    return Observation(observation.samples[item], observation.weights[item], rejected)
 
 
 def of_photo(refinement: Refinement, item: int) -> Refinement:
@@ -136,18 +151,39 @@ def tensors(estimate: Estimate) -> dict[str, Tensor]:
 
 def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[str, Any]:
     """Returns the figures of one photograph's estimate, ready for JSON (NaN as null)."""
-    solution, observation = estimate.solution, estimate.observation
-    peaks = found_peaks(estimate.peaks)
-    coefficients = solution.coefficients
-    largest = coefficients.abs().amax(dim=-1, keepdim=True)
+    observation = estimate.observation
     return {
         "photo": provenance.photo,
         "rms_255": number(estimate.rms_255),
         "rms_relative": number(metrics.rms_relative(estimate.predicted, observation.samples, observation.weights)),
         **visibility(observation),
-        "method": provenance.method,
+        "rejected": rejected(observation),
+        "saturated_samples": "dropped",
+        **found_light(estimate, provenance.method, provenance.solver),
+        "reference": scene.reference,
+        "units": "relative",
+        "light_is": light_is(scene),
+        "exposure": recorded(provenance.exif),
+        "camera": seen_from(provenance.camera),
+        "near_light": distance_of(provenance.near),
+        "placement": None if provenance.placement is None else asdict(provenance.placement),
+        "length_unit": scene.units,
+        "convention": CONVENTION,
+        "photo_sha256": provenance.photo_sha256,
+        "scene_sha256": provenance.scene_sha256,
+        "versions": versions(),
+    }
+
+
+def found_light(estimate: Estimate, method: str, solver: str) -> dict[str, Any]:
+    """Returns how the light was found, how well that ended, and where it is brightest, ready for JSON."""
+    solution, coefficients = estimate.solution, estimate.solution.coefficients
+    largest = coefficients.abs().amax(dim=-1, keepdim=True)
+    peaks = found_peaks(estimate.peaks)
+    return {
+        "method": method,
         "resolution": estimate.basis.resolution,
-        "solver": provenance.solver,
+        "solver": solver,
         "coefficients": estimate.basis.size,
         "nonzero": ((coefficients.abs() > ZERO * largest).sum(dim=-1)).tolist(),
         **size_of_light(estimate.refinement, estimate.basis.resolution),
@@ -159,15 +195,6 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "peak_direction": peaks[0]["direction"] if peaks else None,
         "peak_share": peaks[0]["share"] if peaks else None,
         "peaks": sorted(peaks[1:], key=lambda peak: -peak["share"]),
-        "reference": scene.reference,
-        "units": "relative",
-        "light_is": light_is(scene),
-        "exposure": recorded(provenance.exif),
-        "length_unit": scene.units,
-        "convention": CONVENTION,
-        "photo_sha256": provenance.photo_sha256,
-        "scene_sha256": provenance.scene_sha256,
-        "versions": versions(),
     }
 
 
@@ -201,6 +228,34 @@ def visibility(observation: Observation) -> dict[str, Any]:
     """Returns how many samples are used, of how many, and their ratio."""
     visible, points = int((observation.weights > 0).sum()), observation.weights.shape[-1]
     return {"visible": visible, "points": points, "visible_share": visible / points}
+
+
+def rejected(observation: Observation) -> dict[str, int]:
+    """Returns how many samples that the camera sees were left out, by `Rejection`."""
+    return {why.name.lower(): int((observation.rejections == why).sum()) for why in Rejection if why}
+
+
+def distance_of(near: NearLight | None) -> dict[str, Any] | None:
+    """Returns whether the light is near and how far its direction drifts; drift and distances only where it is."""
+    if near is None:
+        return None
+    if not near.flagged:
+        return {"near": False, "p_value": near.p_value}
+    return {
+        "near": True,
+        "p_value": near.p_value,
+        "drift_degrees": near.drift_degrees,
+        "drift_deviation_degrees": near.deviation_degrees,
+        "distance": near.distance,
+        "height": near.height,
+    }
+
+
+def seen_from(camera: Camera | None) -> dict[str, Any] | None:
+    """Returns a pose that was found from the board in the photograph, and how sure it is; else None."""
+    if camera is None or camera.sighting is None:
+        return None
+    return {"world_to_camera": camera.world_to_camera.tolist(), **asdict(camera.sighting)}
 
 
 def found_peaks(peaks: Peaks) -> list[dict[str, Any]]:

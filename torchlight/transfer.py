@@ -24,9 +24,9 @@ from torchlight.errors import ConfigError, ShapeError
 from torchlight.geometry.contours import Contours, scene_contours
 from torchlight.geometry.crossings import Rectangles, on_grid, visible_integrals
 from torchlight.geometry.scene import Scene
-from torchlight.geometry.threads import ordered_map
 from torchlight.light import cubemap
 from torchlight.light.bases import Basis
+from torchlight.threads import ordered_map
 
 ALGORITHM = "transport-2"  # part of the cache key: raise it whenever the numbers change
 MEMORY_BUDGET = 4 * 2**30  # bytes the transport itself may take

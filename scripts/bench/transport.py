@@ -29,7 +29,7 @@ from visibility import meshes
 from torchlight.geometry.contours import scene_contours
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
-from torchlight.geometry.threads import thread_count
+from torchlight.threads import thread_count
 from torchlight.transfer import transport
 
 RUNS = 3

@@ -32,9 +32,9 @@ from torchlight.geometry.crossings import on_grid
 from torchlight.geometry.plane_visibility import hidden_samples
 from torchlight.geometry.receiver import Receiver, receiver_corners, receiver_points
 from torchlight.geometry.scene import Scene
-from torchlight.geometry.threads import ordered_map, thread_count
 from torchlight.geometry.visibility import LIFT, occlusion_test
 from torchlight.synthetic import Block, block_scene
+from torchlight.threads import ordered_map, thread_count
 
 SIZES = ((96, 256), (256, 1024))
 LOWEST = math.sin(math.radians(1.0))

@@ -1,4 +1,4 @@
-"""The command line: `torchlight estimate|analyze|render|evaluate|merge|target|calibrate|cache|doctor|demo`."""
+"""The command line: `torchlight estimate|joint|analyze|render|evaluate|merge|target|calibrate|cache|doctor|demo`."""
 
 from __future__ import annotations
 

@@ -47,6 +47,11 @@ class Estimate:
     robust: bool = False
     """Let go of samples that no light explains, such as thin foreign shadows: five solves with Huber's weights. They
     are grey in fit.png."""
+    refine_pose: bool = False
+    """Move and turn the occluders to where their shadow says they stand, photograph by photograph, and say by how much;
+    a moved object has its own transport. See docs/scenes.md."""
+    skip_near_test: bool = False
+    """Do not ask whether the light is near, which takes a second or more per photograph. See docs/near_light.md."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to solve; shadows are always found on the CPU."""
     overwrite: bool = False
@@ -191,12 +196,44 @@ class Calibrate:
     """What a ruler measures along the sheet's printed line, or along a board's first row of squares, end to end; a
     print that is not to scale is refused."""
     window: int | None = None
-    """Half the side of the patch that locates a chessboard's corner, in pixels. Default: a third of the way to the
+    """Half the side of the patch that locates a chessboard's corner, in pixels. Default: a quarter of the way to the
     nearest corner, at most 11."""
     keep_all: bool = False
     """Leave out no photograph for its error."""
     overwrite: bool = False
     """Replace existing files."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Recover one light from several photographs of it, the object moved or turned in each: OUT/light.exr and more.
+
+    Exposures may differ; they are given, read from EXIF, or found. Says how much each photograph added. All photographs
+    must be usable: one that is not is named, and nothing is written. See docs/joint.md.
+    """
+
+    views: Annotated[Path, tyro.conf.Positional, arg(metavar="VIEWS.yaml")]
+    """Which photographs, each with its scene file."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder that receives the results."""
+    method: Annotated[Literal["texels", "haar", "adaptive", "sh"], arg(aliases=["--basis"])] = "adaptive"
+    """What light is made of, as in torchlight estimate."""
+    resolution: int | None = None
+    """Texels along a cube map face's edge, as in torchlight estimate."""
+    degree: int = 5
+    """Largest degree of spherical harmonics; with --method sh."""
+    functions: int = 450
+    """Most Haar functions per channel; with --method adaptive."""
+    noise: float = 0.0016
+    """Standard deviation of the noise per sample, as a share of the brightest; with --method adaptive."""
+    robust: bool = False
+    """Let go of samples that no light explains. They are grey in fit_*.png."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to solve; shadows are always found on the CPU."""
+    overwrite: bool = False
+    """Replace existing results."""
+    no_cache: bool = False
+    """Neither read nor write the scenes' transports on disk."""
 
 
 @dataclass(frozen=True)
@@ -235,6 +272,7 @@ Command = (
     | Annotated[Merge, tyro.conf.subcommand("merge")]
     | Annotated[Target, tyro.conf.subcommand("target")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+    | Annotated[Joint, tyro.conf.subcommand("joint")]
     | Annotated[Cache, tyro.conf.subcommand("cache")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]

@@ -7,10 +7,10 @@ from importlib.metadata import distributions
 import torch
 
 from torchlight.cli import arguments
-from torchlight.geometry.threads import thread_count
 from torchlight.geometry.visibility import backend
 from torchlight.io import cache
 from torchlight.results import versions
+from torchlight.threads import thread_count
 
 
 def run(command: arguments.Doctor) -> int:

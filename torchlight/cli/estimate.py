@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -15,9 +15,9 @@ from torch import Tensor
 
 from torchlight.analysis.verdict import excess
 from torchlight.cli import NOTHING_STARTED, arguments, fail
+from torchlight.cli.doubts import warn_of_near_light, warn_of_rejections, warn_of_tone_mapping
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError, TorchlightError
-from torchlight.geometry.receiver import sample_centers
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.adaptive import AdaptiveHaar, named_rule
 from torchlight.inversion.linear import named_solver
@@ -28,10 +28,11 @@ from torchlight.io.images import Photo, read_photo
 from torchlight.io.scene_file import load_scene
 from torchlight.light.bases import Basis, HaarCubemap, SphericalHarmonics, Texels
 from torchlight.light.cubemap import texel_count
+from torchlight.near_light.verdict import near_light
 from torchlight.observing import check_lit, empty_plane, linearize, observe, placed, visible_part
 from torchlight.photo.observation import Observation
-from torchlight.photo.tone import HALO, halo
 from torchlight.pipeline import Estimate, explain, explain_robustly
+from torchlight.placement import Placement, refine, sentence
 from torchlight.precomputation import Columns, columns_for
 from torchlight.results import Provenance, select, write_result
 from torchlight.solvers import Solver, Status
@@ -54,6 +55,8 @@ class Job:
     observation: Observation
     seconds: float
     exif: Exif
+    scene: Scene
+    placement: Placement | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,7 @@ def run(command: arguments.Estimate) -> int:
     for start in range(0, len(command.photos), PHOTOS_PER_SOLVE):
         jobs = list(observed(plan, command.photos[start : start + PHOTOS_PER_SOLVE]))
         usable += len(jobs)
-        done += solve_and_write(plan, jobs) if jobs else 0
+        done += sum(solve_and_write(*alike) for alike in sharing(plan, jobs))
     if not usable:
         return NOTHING_STARTED
     failed = len(command.photos) - done
@@ -192,32 +195,52 @@ def observed(plan: Plan, photos: Sequence[Path]) -> Iterator[Job]:
             visible = plan.visible if scene is plan.scene else visible_part(scene)
             observation = observe(linearize(stored, scene), scene, visible, plan.empty)
             check_lit(observation)
+            placement = None
+            if plan.command.refine_pose:
+                scene, observation, placement = replaced(plan, photo, stored, scene, observation)
             warn_of_tone_mapping(photo, stored, observation, scene)
         except TorchlightError as error:
             fail(str(error) if str(photo) in str(error) else f"{photo}: {error}")
             continue
-        yield Job(photo, stored.sha256, observation, time.perf_counter() - start, stored.exif)
+        yield Job(photo, stored.sha256, observation, time.perf_counter() - start, stored.exif, scene, placement)
 
 
-def warn_of_tone_mapping(path: Path, photo: Photo, observation: Observation, scene: Scene) -> None:
-    """Says so in one line where the plane is brightest beside the shadow, which only a local tone map does."""
-    if photo.is_linear:
-        return
-    excess = halo(observation, sample_centers(scene.receiver), scene.receiver.samples).item()
-    if excess > HALO:
-        fail(
-            f"warning: {path}: the plane is {excess:.1%} brighter beside the shadow than far from it: the camera's "
-            "local tone mapping (switch HDR off, or photograph RAW), a near lamp, or a second object"
-        )
+def replaced(
+    plan: Plan, path: Path, photo: Photo, scene: Scene, observation: Observation
+) -> tuple[Scene, Observation, Placement]:
+    """Returns scene and observation with the object where its shadow says it is, and says in one line what moved."""
+    linear, stated = linearize(photo, scene), scene
+
+    def look(scene: Scene) -> Observation:
+        return observation if scene is stated else observe(linear, scene, visible_part(scene), plan.empty)
+
+    found, placement = refine(scene, look, AdaptiveHaar(noise=plan.command.noise))
+    print(f"{path}: {sentence(placement, scene.units)}")
+    return found, look(found), placement
+
+
+def sharing(plan: Plan, jobs: list[Job]) -> Iterator[tuple[Plan, Sequence[Job]]]:
+    """Yields the photographs that share a transport, with it; one whose object was moved has its own."""
+    alike = [job for job in jobs if job.placement is None or not job.placement.changed]
+    if alike:
+        yield plan, alike
+    for job in jobs:
+        if job.placement is not None and job.placement.changed:
+            seconds = dict(plan.seconds)
+            with timed(seconds, "transport"):
+                cached = not plan.command.no_cache
+                columns = columns_for(job.scene, plan.basis, plan.solver, cached, device=plan.device)
+            yield replace(plan, scene=job.scene, columns=columns, seconds=seconds), [job]
 
 
 def solve_and_write(plan: Plan, jobs: Sequence[Job]) -> int:
     """Solves photographs together, writes each one's folder, and returns how many are done."""
     start = time.perf_counter()
-    samples = torch.stack([job.observation.samples for job in jobs]).to(plan.device)
-    weights = torch.stack([job.observation.weights for job in jobs]).to(plan.device)
+    shown = [job.observation for job in jobs]
+    parts = ([one.samples for one in shown], [one.weights for one in shown], [one.rejections for one in shown])
+    observation = Observation(*(torch.stack(part).to(plan.device) for part in parts))
     solve = explain_robustly if plan.command.robust else explain
-    estimate = solve(Observation(samples, weights), plan.scene, plan.columns, plan.basis, plan.solver)
+    estimate = solve(observation, plan.scene, plan.columns, plan.basis, plan.solver)
     share = (time.perf_counter() - start) / len(jobs)
     return sum(write(plan, job, select(estimate, item), share) for item, job in enumerate(jobs))
 
@@ -226,9 +249,11 @@ def write(plan: Plan, job: Job, estimate: Estimate, solve_seconds: float) -> boo
     """Writes one photograph's folder and says so in one line; returns whether all went well."""
     command = plan.command
     seconds = {**plan.seconds, "photograph": job.seconds, "solve": solve_seconds}
+    near = None if command.skip_near_test else near_light(job.scene, job.observation)
     provenance = Provenance(
-        plan.scene_sha256, job.sha256, str(job.photo), command.method, command.solver, seconds, job.exif
-    )
+        plan.scene_sha256, job.sha256, str(job.photo), command.method, command.solver, seconds, job.exif,
+        job.placement, job.scene.camera, near,
+    )  # fmt: skip
     unusable = unusable_channels(estimate)
     if unusable:
         fail(f"{job.photo}: {unusable}")
@@ -243,6 +268,8 @@ def write(plan: Plan, job: Job, estimate: Estimate, solve_seconds: float) -> boo
         f"{command.out / job.photo.stem}: RMS {result['rms_255']:.2f} of 255 on {result['visible']} samples, "
         f"{result['preview_clipped_flux']:.0%} of the flux clipped in light.png{short}"
     )
+    warn_of_rejections(job.photo, estimate)
+    warn_of_near_light(job.photo, near, job.scene.units)
     return True
 
 

@@ -21,8 +21,9 @@ from typing import no_type_check
 
 import numpy as np
 
-from torchlight.geometry.compiled import compiled
+from torchlight.compiled import compiled
 
+CLUSTER, EVERY = 16, 0xFFFF  # edges in a cluster, a bit for each
 COARSE, FINE = 6, 3  # directions along the edge of a block
 CROSSINGS = 32  # room for the crossings of one line at first; doubled when it is not enough
 ROUNDING = 1e-11  # of n . d for a unit normal and a direction to a face of the cube: a sign beyond it is certain
@@ -407,14 +408,83 @@ def fill_lines(reached, columns, lists, hidden):
 
 @compiled
 @no_type_check
-def hidden_samples(first, axes, spread, edges, cone, directions, slopes, numbers, columns, result):
+def facings(nx, ny, nz, x, y):
+    """Returns a bit per edge of a cluster: whether n . (x, y, 1) is positive."""
+    bits = np.int64(0)
+    for e in range(CLUSTER):
+        bits += (np.int64(1) << e) if nx[e] * x + ny[e] * y + nz[e] > 0.0 else np.int64(0)
+    return bits
+
+
+@compiled
+@no_type_check
+def lowest(bits):
+    """Returns the place of the lowest bit among 16."""
+    low, place = bits & -bits, 0
+    for step, mask in ((8, 0xFF00), (4, 0xF0F0), (2, 0xCCCC), (1, 0xAAAA)):
+        place += step if low & mask else 0
+    return place
+
+
+@compiled
+@no_type_check
+def contours_of(normals, sides, first, x, y, chosen, found):
+    """Appends a cluster's contours in one direction to the chosen edges; returns their number.
+
+    `chosen` holds each edge's place among all and its n_e, `first` is the place of the cluster's first edge.
+    """
+    one = ~(facings(normals[0], normals[1], normals[2], x, y) ^ sides[0])  # side x facing is 1, not -1
+    two = ~(facings(normals[3], normals[4], normals[5], x, y) ^ sides[1])
+    left = (~(one ^ two) | sides[2]) & ~sides[3] & EVERY
+    while left != 0:
+        e = lowest(left)
+        left &= left - 1
+        chosen[0, found] = first + e
+        chosen[1, found] = (2 * (one >> e & 1) - 1) * (2 - (sides[2] >> e & 1))
+        found += 1
+    return found
+
+
+@compiled
+@no_type_check
+def cross_centers(ends, chosen, found, x, y, columns, lists, reached):
+    """Does what `cross` does, for contours of which few meet a line, the lines of the sample centres."""
+    places, steps, crossings, before = lists
+    lines, room = places.shape
+    for hit in range(found):
+        e = chosen[0, hit]
+        t0, t1 = ends[e, 0, 1] - y * ends[e, 0, 2] - 0.5, ends[e, 1, 1] - y * ends[e, 1, 2] - 0.5
+        if np.ceil(t0) == np.ceil(t1):
+            continue
+        x0, x1 = ends[e, 0, 0] - x * ends[e, 0, 2], ends[e, 1, 0] - x * ends[e, 1, 2]
+        begin, end = int(max(np.ceil(min(t0, t1)), 0.0)), int(min(np.ceil(max(t0, t1)), float(lines)))
+        step = -chosen[1, hit] if t0 < t1 else chosen[1, hit]
+        slope = (x1 - x0) / (t1 - t0)
+        reached[0], reached[1] = min(reached[0], begin), max(reached[1], end)
+        for line in range(begin, end):
+            place = x0 + (line - t0) * slope
+            if place <= 0.0:
+                before[line] += step
+            elif place < columns:
+                if crossings[line] == room:
+                    return False
+                places[line, crossings[line]] = place
+                steps[line, crossings[line]] = step
+                crossings[line] += 1
+    return True
+
+
+@compiled
+@no_type_check
+def hidden_samples(axes, spread, normals, sides, ends, cone, directions, slopes, numbers, columns, result):
     """Marks the samples whose centres are hidden from each of a bundle of directions.
 
     Args:
-        first: where each cluster of edges begins, and the number of edges.
         axes: of the clusters.
         spread: of the clusters.
-        edges: the table of edges.
+        normals: of the clusters' edges, [clusters, 6, 16].
+        sides: bits of the clusters' edges, [clusters, 4].
+        ends: of the edges, [edges, 2, 3].
         cone: unit axis and half angle of the bundle, [4].
         directions: unit, [directions, 3].
         slopes: of the directions, [directions, 2].
@@ -422,14 +492,7 @@ def hidden_samples(first, axes, spread, edges, cone, directions, slopes, numbers
         columns: samples in x.
         result: False everywhere, [directions, points].
     """
-    room, reached = edges.shape[1], np.zeros(2, np.int64)
-    one, two, n, meeting, chosen = (
-        np.empty(room),
-        np.empty(room),
-        np.empty(room),
-        np.empty(room),
-        np.empty(room, np.int32),
-    )
+    chosen, reached = np.empty((2, len(ends)), np.int32), np.zeros(2, np.int64)
     lists, kept, sines = empty_lists(result.shape[1] // columns), np.empty(len(axes), np.int64), np.empty(len(axes))
     keeps = 0
     for cluster in range(len(axes)):
@@ -438,20 +501,12 @@ def hidden_samples(first, axes, spread, edges, cone, directions, slopes, numbers
             sines[keeps] = np.sin(spread[cluster]) + SLACK if spread[cluster] < 0.5 * np.pi else 2.0
             keeps += 1
     for k in range(len(slopes)):
-        x, y, hits, place = slopes[k, 0], slopes[k, 1], 0, 0
-        while place < keeps:
+        x, y, found = slopes[k, 0], slopes[k, 1], 0
+        for place in range(keeps):
             cluster = kept[place]
-            if abs(along(axes, cluster, directions[k])) > sines[place]:
-                place += 1
-                continue
-            begin = first[cluster]
-            while place < keeps and kept[place] == cluster and abs(along(axes, cluster, directions[k])) <= sines[place]:
-                place += 1
-                cluster += 1
-            end = first[cluster]
-            turn(edges, begin, end, x, y, one, two, n)
-            hits = find(edges, n, begin, end, y, 0.5, len(lists[0]), meeting, hits, chosen)
+            if abs(along(axes, cluster, directions[k])) <= sines[place]:
+                found = contours_of(normals[cluster], sides[cluster], cluster * CLUSTER, x, y, chosen, found)
         reached[0], reached[1] = len(lists[0]), 0
-        while not cross(edges, chosen, hits, meeting, x, y, 0.5, columns, lists, reached):
+        while not cross_centers(ends, chosen, found, x, y, columns, lists, reached):
             lists = longer(lists)
         fill_lines(reached, columns, lists, result[numbers[k]])

@@ -14,12 +14,12 @@ from types import ModuleType
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.errors import TorchlightWarning
 from torchlight.geometry import contour_twin
-from torchlight.geometry.contours import Contours
+from torchlight.geometry.contours import CLUSTER, Contours
 from torchlight.geometry.receiver import Receiver
 
 UNIT = 2.0**56  # integer weights of a square add up to this
@@ -98,11 +98,17 @@ class GridContours:
         contours: the edges, in the scene's unit.
         grid: the receiver's coordinates.
         table: a column per edge: two ends, two normals (an open edge has its one twice), two sides, room for n_e.
+        ends: of every edge once more, each edge's numbers side by side.
+        normals: of the first and the second face, a table per cluster of edges; 0 beyond the last edge.
+        sides: a bit per edge of a cluster: first face along the edge, second along it, no second face, no edge.
     """
 
     contours: Contours
     grid: Grid
     table: Float[np.ndarray, "fields room"]
+    ends: Float[np.ndarray, "edges 2 3"]
+    normals: Float[np.ndarray, "clusters 6 cluster"]
+    sides: Int[np.ndarray, "clusters 4"]
 
 
 def on_grid(contours: Contours, receiver: Receiver, lines: int) -> GridContours:
@@ -117,10 +123,21 @@ def on_grid(contours: Contours, receiver: Receiver, lines: int) -> GridContours:
     normals = grid.normals(contours.normals)
     normals[:, 1] = np.where(contours.sides[:, 1:] == 0, normals[:, 0], normals[:, 1])
     table = np.zeros((FIELDS, count // 512 * 512 + 552))  # rows fall into different sets of the processor's cache
-    table[:6, :count] = grid.places(contours.ends).reshape(count, 6).T
+    ends = grid.places(contours.ends)
+    table[:6, :count] = ends.reshape(count, 6).T
     table[6:12, :count] = normals.reshape(count, 6).T
     table[12:14, :count] = contours.sides.T
-    return GridContours(contours, grid, table)
+    full = len(contours.axes) * CLUSTER
+    clusters = table[6:12, :full].reshape(6, -1, CLUSTER).transpose(1, 0, 2)
+    sides = side_bits(table[12:14, :full].reshape(2, -1, CLUSTER))
+    return GridContours(contours, grid, table, ends, np.ascontiguousarray(clusters), sides)
+
+
+def side_bits(sides: Float[np.ndarray, "2 clusters cluster"]) -> Int[np.ndarray, "clusters 4"]:
+    """Returns a bit per edge: first face along the edge, second along it, no second face, no edge."""
+    first, second = sides
+    flags = np.stack([first > 0, second > 0, second == 0, first == 0], axis=1)
+    return (flags.astype(np.int64) << np.arange(CLUSTER)).sum(axis=2)
 
 
 def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tensor, "squares points"]:

@@ -13,7 +13,7 @@ from torchlight.geometry import contour_twin
 from torchlight.geometry.contours import morton
 from torchlight.geometry.crossings import GridContours
 from torchlight.geometry.crossings import compiled_kernel as kernel_or_none
-from torchlight.geometry.threads import ordered_map
+from torchlight.threads import ordered_map
 
 BUNDLE = 32  # neighbouring directions that look through the clusters of edges together
 SLACK = 1e-9
@@ -55,10 +55,11 @@ def mark(
         numbers = order[begin : begin + BUNDLE]
         bundle = directions[numbers]
         kernel.hidden_samples(
-            contours.first,
             contours.axes,
             contours.spread,
-            shape.table,
+            shape.normals,
+            shape.sides,
+            shape.ends,
             cone_about(bundle),
             bundle,
             grid.slopes(bundle),

@@ -10,13 +10,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.errors import ConfigError
-from torchlight.geometry.threads import ordered_map, thread_count
 from torchlight.inversion import growth
 from torchlight.inversion.forest import Forest, Items, harvest, seedlings
 from torchlight.inversion.growth import SMALL, Pace
 from torchlight.inversion.nodes import product
 from torchlight.inversion.outcome import Group, Outcome
 from torchlight.inversion.refinement import Bounds
+from torchlight.threads import ordered_map, thread_count
 
 MOST_ITEMS = 32  # that one call of the kernel grows: more would leave a processor idle at the end
 

@@ -10,7 +10,7 @@ from typing import no_type_check
 
 import numpy as np
 
-from torchlight.geometry.compiled import compiled
+from torchlight.compiled import compiled
 
 # as in the twin and below it, written out: numba keeps compiled code until this file changes
 UNKNOWN = -1

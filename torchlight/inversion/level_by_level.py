@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchlight.errors import ConfigError
-from torchlight.geometry.threads import single_threaded
 from torchlight.inversion.leaf_program import (
     RIDGE,
     Fitted,
@@ -35,6 +34,7 @@ from torchlight.inversion.refinement import (
     unseen_supports,
 )
 from torchlight.solvers.active_set import cholesky
+from torchlight.threads import single_threaded
 
 
 @dataclass(frozen=True)

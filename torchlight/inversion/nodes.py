@@ -15,9 +15,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.errors import ShapeError
-from torchlight.geometry.threads import ordered_map, single_threaded, thread_count
 from torchlight.inversion.quadtree import pyramid, quadtree, squares, within
 from torchlight.inversion.rows import Rows, SymmetricRows
+from torchlight.threads import ordered_map, single_threaded, thread_count
 from torchlight.transfer import Transfer
 
 UNKNOWN = -1  # quarters that have not been asked for

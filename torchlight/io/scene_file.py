@@ -16,7 +16,7 @@ from torchlight.geometry.scene import Scene
 from torchlight.io import fields
 from torchlight.io.cameras import read_lens
 from torchlight.io.fields import Field
-from torchlight.io.files import MAX_PIXELS
+from torchlight.io.files import MAX_PIXELS, read_bytes, sha256_of
 from torchlight.io.images import read_mask
 from torchlight.io.occluders import read_occluders
 from torchlight.io.photo_keys import photo_keys, reference_keys
@@ -95,9 +95,8 @@ def _board_camera(field: Field) -> BoardCamera:
     lens = fields.required(known, "intrinsics", field, "intrinsics: camera.json")
     board = fields.required(known, "board", field, "board: target.yaml")
     try:
-        return BoardCamera(
-            read_lens(field.file.parent / fields.text(lens)), read_target(field.file.parent / fields.text(board))
-        )
+        files = [field.file.parent / fields.text(named) for named in (lens, board)]
+        return BoardCamera(read_lens(files[0]), read_target(files[1]), *(sha256_of(read_bytes(file)) for file in files))
     except TorchlightError as error:
         message = str(error)
         raise error if message.startswith(str(field.file)) else type(error)(field.describe(message)) from error

@@ -34,6 +34,7 @@ FALSE_ALARMS = 0.01
 TOLERANCE = 0.01  # of the object's height: 0.4 mm of 40
 BLOCK = 4  # samples along the edge of a square of like errors
 MIN_SAMPLES = 100
+UNEXPLAINED = 0.5  # of what varies over the plane, by the best light
 REFINED_AT = (0.0, 0.08)  # k times the object's height
 SCANNED = (0.0, 0.03, 0.08, 0.16, 0.3, 0.5)
 LEAST_SCANNED = 3
@@ -83,7 +84,10 @@ class Profile:
 
 
 def near_light(scene: Scene, observation: Observation) -> NearLight | None:
-    """Returns whether the light of one photograph is near; None where too few samples are usable or lit to tell.
+    """Returns whether the light of one photograph is near; None where that cannot be told.
+
+    Too few samples are usable or lit, or no light of any height explains half of what varies over the plane: then there
+    is no shadow to judge by, or the scene is not that of the photograph.
 
     Args:
         scene: occluders and receiver.
@@ -97,6 +101,8 @@ def near_light(scene: Scene, observation: Observation) -> NearLight | None:
     if not shadow.top > 0:
         return None
     best = profile(shadow)
+    if not best.fit.error < UNEXPLAINED * variation(shadow):
+        return None
     spread = math.hypot(deviation(len(shadow.values), best), TOLERANCE / shadow.top)
     p_value = 0.5 * math.erfc(best.curvature / spread / math.sqrt(2))
     direction = peak(best)
@@ -104,6 +110,13 @@ def near_light(scene: Scene, observation: Observation) -> NearLight | None:
     height = 1 / best.curvature if best.curvature > 0 else math.inf
     distance = height / float(direction[2])
     return NearLight(p_value < FALSE_ALARMS, p_value, drift, further - drift, distance, height)
+
+
+def variation(shadow: Shadow) -> float:
+    """Returns the weighted sum of squared differences from the mean."""
+    weights = shadow.root.square()
+    mean = (weights * shadow.values).sum() / weights.sum()
+    return float((weights * (shadow.values - mean).square()).sum())
 
 
 def profile(shadow: Shadow) -> Profile:

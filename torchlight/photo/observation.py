@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchlight.errors import ShapeError
@@ -18,10 +19,12 @@ class LinearPhoto:
     Attributes:
         radiance: linear values, relative or absolute.
         usable: pixels that may be used: finite, not saturated, not masked.
+        saturated: pixels that could be used, were they not saturated; None = not known.
     """
 
     radiance: Float[Tensor, "*batch 3 height width"]
     usable: Bool[Tensor, "*batch height width"]
+    saturated: Bool[Tensor, "*batch height width"] | None = None
 
 
 def linear_photo(radiance: Float[Tensor, "*batch 3 height width"]) -> LinearPhoto:
@@ -31,6 +34,15 @@ def linear_photo(radiance: Float[Tensor, "*batch 3 height width"]) -> LinearPhot
     return LinearPhoto(radiance, torch.isfinite(radiance).all(dim=-3))
 
 
+class Rejection(IntEnum):
+    """Why a sample that the camera sees has the weight 0."""
+
+    NONE = 0
+    SATURATED = 1  # a pixel of its footprint is: dropped, though its value is a lower bound
+    SPECULAR = 2  # brighter than a diffuse plane can be
+    ROBUST = 3  # no light explains it
+
+
 @dataclass(frozen=True, eq=False)
 class Observation:
     """The receiver's samples as a photograph shows them.
@@ -38,7 +50,20 @@ class Observation:
     Attributes:
         samples: v = albedo E / pi, averaged over each footprint; 0 where the weight is 0.
         weights: 1 where the whole footprint is seen and usable, else 0; multiplies the squared residual.
+        rejected: `Rejection` of every sample; None = nothing is known of it.
     """
 
     samples: Float[Tensor, "*batch channels points"]
     weights: Float[Tensor, "*batch points"]
+    rejected: UInt8[Tensor, "*batch points"] | None = None
+
+    @property
+    def rejections(self) -> UInt8[Tensor, "*batch points"]:
+        """`rejected`, NONE where nothing is known."""
+        return torch.zeros_like(self.weights, dtype=torch.uint8) if self.rejected is None else self.rejected
+
+    def without(self, marked: Bool[Tensor, "*batch points"], why: Rejection) -> Observation:
+        """Returns the observation with the weight 0 for the marked samples, and why of those that had another."""
+        lost = marked & (self.weights > 0)
+        weights = torch.where(lost, torch.zeros_like(self.weights), self.weights)
+        return Observation(self.samples, weights, torch.where(lost, why.value, self.rejections).to(torch.uint8))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -60,7 +60,8 @@ def divide(observation: Observation, reference: Reference) -> Observation:
     falloff = reference.falloff
     known = (falloff > 0) & falloff.isfinite()
     samples = torch.where(known, observation.samples / torch.where(known, falloff, torch.ones_like(falloff)), 0.0)
-    return Observation(samples, observation.weights * known.all(dim=-2).to(observation.weights))
+    weights = observation.weights * known.all(dim=-2).to(observation.weights)
+    return replace(observation, samples=samples, weights=weights)
 
 
 def photographed(empty: Observation, observation: Observation) -> Reference:

@@ -12,10 +12,10 @@ import pytest
 from workbench import torchlight as run
 
 from torchlight import cli
-from torchlight.geometry.compiled import ANNOUNCEMENT
+from torchlight.compiled import ANNOUNCEMENT
 
 KERNEL = """
-from torchlight.geometry.compiled import compiled
+from torchlight.compiled import compiled
 
 @compiled
 def once(x):
@@ -57,7 +57,7 @@ def test_a_library_is_silent(python: Callable[[str], list[str]]) -> None:
 
 
 def test_functions_of_others_are_not_announced(python: Callable[[str], list[str]]) -> None:
-    assert python("import torchlight.geometry.compiled\n" + LISTENED + OTHERS) == []
+    assert python("import torchlight.compiled\n" + LISTENED + OTHERS) == []
 
 
 def test_every_kernel_would_announce_itself() -> None:

@@ -10,7 +10,7 @@ from itertools import islice
 import pytest
 import torch
 
-from torchlight.geometry.threads import ordered_map, single_threaded, thread_count
+from torchlight.threads import ordered_map, single_threaded, thread_count
 
 
 def test_results_come_in_the_items_order() -> None:
