@@ -34,6 +34,7 @@ from .probes import ALBEDO, BLOCK_ALBEDO, SCORED, Taken, scene
 
 DEFAULT = "adaptive Haar, thrown-back light removed, noise measured"
 TEXELS = "texels 16x16x5, non-negative, nothing removed"
+TEXELS_TOO = "texels 16x16x5, non-negative, thrown-back light removed"
 HARMONICS = "SH, 25 coefficients, non-negative"
 
 
@@ -113,6 +114,10 @@ def _texels(seen: Shown, _bench: Bench) -> Estimate:
     return explain(seen.photo, here, precompute(here, 16), Texels(16), NNLS())
 
 
+def _texels_too(seen: Shown, bench: Bench) -> Estimate:
+    return _texels(replace(seen, photo=without(seen.photo, seen.thrown)), bench)
+
+
 def _harmonics(seen: Shown, _bench: Bench) -> Estimate:
     here = scene(PHOTOGRAPHED)
     basis = SphericalHarmonics(4, SH_RESOLUTION)
@@ -122,6 +127,7 @@ def _harmonics(seen: Shown, _bench: Bench) -> Estimate:
 WAYS: dict[str, Way] = {
     DEFAULT: _adaptive,
     TEXELS: _texels,
+    TEXELS_TOO: _texels_too,
     HARMONICS: _harmonics,
     "the default with --robust": _adaptive_robust,
     "adaptive Haar, nothing removed, noise 0.4 of 255": _plain_adaptive,
