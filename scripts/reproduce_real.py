@@ -22,7 +22,7 @@ from merge_check import exposure_list, log_errors
 from real.chair import SCREEN, chair
 from real.cube import cube, measured_lamp_height, photo_of, predicted_overlap
 from real.page import Picture, Row, page, table
-from real.pencil import pencils, second_lamp
+from real.pencil import one_lamp, pencils, second_lamp
 from real.pictures import pictures_side_by_side, sheet_picture
 from real.sheets import chair_sheet, cube_sheet, pencil_sheet, screen_pictures
 
@@ -32,6 +32,7 @@ from torchlight.errors import FormatError, TorchlightError
 from torchlight.io.atomic import write_atomically
 from torchlight.io.cameras import read_lens
 from torchlight.io.images import read_photo
+from torchlight.near_light.triangulation import Lamp
 from torchlight.near_light.verdict import NearLight, near_light
 from torchlight.photo.boards import Charuco, Chessboard, detect, grey_picture
 from torchlight.photo.pose import locate
@@ -147,6 +148,7 @@ def pencil(data: Path) -> Iterator[Item]:
     yield Row(f"{what}: azimuth", "within 8 degrees", f"{azimuth:.1f} degrees apart", azimuth <= 8)
     elsewhere = f"{whole:.1f} degrees apart: the shadow's tip is out of the frame, so that no height is told"
     yield Row(f"{what}: whole direction", "within 8 degrees", elsewhere, whole <= 8)
+    yield lamp_row(one_lamp(found))
     yield near_row("desk_pencil, the lamp", [near_light(each.scene, each.found.observation) for each in found], LAMP)
     for each in found:
         caption = "A hard shadow of the lamp; light_1 and light_2 also hold a faint one that leaves the frame."
@@ -187,6 +189,14 @@ def near_chair(data: Path) -> Iterator[Item]:
             caption = "Right: the recovered light per area of the screen, from the wall and the chair's geometry alone."
             shown = pictures_side_by_side(screen_pictures(found), "what the screen showed")
             yield Picture("periscopy_chair, the screen", caption, shown)
+
+
+def lamp_row(lamp: Lamp) -> Row:
+    """Returns whether the directions of all photographs together say that the lamp is near, and where it is."""
+    x, y, height = lamp.position.tolist()
+    said = f"{'near' if lamp.flagged else 'not told'}, p = {lamp.p_value:.1g}; at ({x:.0f}, {y:.0f}, {height:.0f}) mm"
+    asked = f"flagged as near; published height {LAMP:.0f} mm"
+    return Row("desk_pencil, six directions together", asked, said, lamp.flagged)
 
 
 def near_row(what: str, verdicts: Sequence[NearLight | None], published: float) -> Row:

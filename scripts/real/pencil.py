@@ -23,6 +23,7 @@ from torchlight.geometry.scene import Scene
 from torchlight.inversion.adaptive import AdaptiveHaar
 from torchlight.io.images import read_photo
 from torchlight.io.scene_file import load_scene
+from torchlight.near_light.triangulation import Lamp, triangulate
 from torchlight.observing import linearize
 from torchlight.pipeline import Estimate, estimate
 
@@ -125,6 +126,13 @@ def table(found: list[Pencil]) -> str:
     angles = sorted(each.off_degrees for each in found)
     median = (angles[(len(angles) - 1) // 2] + angles[len(angles) // 2]) / 2
     return "\n".join([*lines, f"median {median:.2f}, worst {angles[-1]:.2f} degrees"])
+
+
+def one_lamp(found: list[Pencil]) -> Lamp:
+    """Returns the lamp that all peaks together point at, each from the shadow's tip that it implies."""
+    directions = torch.stack([each.peak for each in found])
+    feet = torch.stack([each.scene.triangles[..., :2].double().mean(dim=(0, 1)) for each in found])
+    return triangulate(feet - PENCIL_LENGTH * directions[:, :2] / directions[:, 2:], directions)
 
 
 def second_lamp(found: list[Pencil]) -> tuple[float, float]:
