@@ -187,7 +187,7 @@ def test_no_other_keys_and_times_by_stage(made: Made) -> None:
         *("coefficients", "nonzero", "nonnegative", "status", "steps", "kkt_residual", "gap", "peak_direction"),
         *("peak_share", "peaks", "reference", "units", "light_is", "length_unit", "convention", "photo_sha256"),
         *("scene_sha256", "versions", "preview_clipped_flux", "functions", "regions", "fates", "exposure"),
-        *("near_light", "placement", "camera", "rejected", "saturated_samples"),
+        *("near_light", "occluder_albedo", "placement", "camera", "rejected", "saturated_samples"),
     }
     seconds = strict_json(made.folder / "timing.json")["seconds"]
     assert list(seconds) == ["scene", "transport", "photograph", "solve"]

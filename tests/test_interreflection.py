@@ -20,7 +20,8 @@ from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
 from torchlight.interreflection import SUBPOINTS, WHITE_PAPER, bounced_transport, is_convex, thrown_back, without
 from torchlight.light import cubemap
-from torchlight.photo.observation import Observation
+from torchlight.observing import observe
+from torchlight.photo.observation import Observation, linear_photo
 from torchlight.solvers import NNLS, LeastSquares
 from torchlight.synthetic import block_scene
 from torchlight.transfer import Transfer, transport
@@ -153,3 +154,14 @@ def test_one_convex_object_is_told_from_others() -> None:
     assert not is_convex(block.flip(1))  # seen from inside
     with pytest.raises(SceneError, match="one convex object only"):
         thrown_back(photographs(0.0), replace(scene(), triangles=block.flip(1)), transfer(), 0.1)
+
+
+def test_observing_takes_away_what_a_stated_albedo_throws_back() -> None:
+    """The sum of all three parts, by hand, and nothing where no albedo is stated."""
+    seen = photographs(0.1)
+    pictures = seen.samples.reshape(2, 3, 24, 24).flip(2)
+    photo = linear_photo(pictures)
+    plain, stated = (observe(photo, replace(scene(), occluder_albedo=albedo)) for albedo in (0.0, 0.1))
+    expected = without(plain, thrown_back(plain, scene(), transport(scene(), 16, 4), 0.1))
+    assert_close(stated.samples, expected.samples)
+    assert (stated.samples < plain.samples)[:, :, used()].double().mean() > 0.5

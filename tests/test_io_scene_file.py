@@ -422,3 +422,10 @@ def test_many_occluders(tmp_path: Path) -> None:
     refused(
         tmp_path, occluders(*["box: [1, 1, 1]"] * 1001), SceneError, "occluders: 1001 occluders are more than 1,000"
     )
+
+
+def test_the_albedo_of_occluders(tmp_path: Path) -> None:
+    assert load_scene(write(tmp_path, BLOCK + RECEIVER)).occluder_albedo == 0.0
+    assert load_scene(write(tmp_path, BLOCK + RECEIVER + "occluder_albedo: 0.085\n")).occluder_albedo == 0.085
+    for value in ("-0.1", "1"):
+        refused(tmp_path, BLOCK + RECEIVER + f"occluder_albedo: {value}\n", ConfigError, "expected a number in [0, 1)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +15,18 @@ from torchlight import metrics
 from torchlight.camera import project
 from torchlight.errors import CalibrationError, ConfigError, SceneError, TorchlightError
 from torchlight.geometry.footprints import footprint_points, subpoints_for, visible_samples
-from torchlight.geometry.receiver import sample_centers
+from torchlight.geometry.receiver import Receiver, sample_centers
 from torchlight.geometry.scene import Scene
+from torchlight.interreflection import thrown_back, without
 from torchlight.io.images import Photo, read_photo
 from torchlight.photo import radiometry, reference
 from torchlight.photo.observation import LinearPhoto, Observation, Rejection, linear_photo
 from torchlight.photo.rectification import from_camera, from_rectified
 from torchlight.photo.specular import without_glints
+from torchlight.transfer import Transfer, transport
+
+COARSE = 16  # texels along a face's edge, for light that occluders throw back
+COARSE_DIRECTIONS = 4  # along a texel's
 
 
 def linearize(photo: Photo, scene: Scene) -> LinearPhoto:
@@ -56,6 +62,8 @@ def observe(
 ) -> Observation:
     """Returns what photographs say about the receiver's samples, the scene's reference divided out, without glints.
 
+    Of occluders whose albedo is stated, the light that they throw back is taken away as well (`interreflection`).
+
     Args:
         photo: linear photographs.
         scene: receiver, camera, mask and reference.
@@ -69,7 +77,25 @@ def observe(
     """
     visible = visible_part(scene) if visible is None else visible
     shown = referenced(sample_photo(photo, scene, visible), scene, visible, empty)
-    return without_glints(shown, scene.receiver.samples)
+    return of_black_occluders(without_glints(shown, scene.receiver.samples), scene)
+
+
+def of_black_occluders(observation: Observation, scene: Scene) -> Observation:
+    """Returns what the photograph would show if the occluders were black; as it is where no albedo is stated.
+
+    Raises:
+        SceneError: an albedo is stated, and the occluders are not one convex object.
+    """
+    if scene.occluder_albedo == 0.0:
+        return observation
+    transfer = coarse_transport(scene.triangles, scene.receiver).to(observation.samples.device)
+    return without(observation, thrown_back(observation, scene, transfer, scene.occluder_albedo))
+
+
+@functools.lru_cache(maxsize=4)
+def coarse_transport(triangles: Float[Tensor, "faces 3 3"], receiver: Receiver) -> Transfer:
+    """Returns a transport that is good enough for what occluders throw back; the last few are kept."""
+    return transport(Scene(triangles, receiver), COARSE, COARSE_DIRECTIONS)
 
 
 def referenced(

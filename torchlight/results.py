@@ -161,6 +161,7 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "saturated_samples": "dropped",
         **found_light(estimate, provenance.method, provenance.solver),
         "reference": scene.reference,
+        "occluder_albedo": scene.occluder_albedo,
         "units": "relative",
         "light_is": light_is(scene),
         "exposure": recorded(provenance.exif),

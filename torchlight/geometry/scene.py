@@ -33,6 +33,7 @@ class Scene:
         finder: (pixels, whether they are linear, name) -> the camera of one photograph, where every photograph has its
             own pose (`placed` in the pipeline); None otherwise.
         albedo_map: the receiver's albedo, seen from above as a rectified photograph; 0 where unknown.
+        occluder_albedo: how much light the occluders throw back, gloss included; 0 = black, or not to be accounted for.
         mask: True where a photograph's pixel may be used (photograph pixels, or receiver pixels without a camera).
     """
 
@@ -48,6 +49,7 @@ class Scene:
     reference_photos: tuple[Path, ...] = ()
     albedo_map: Float[Tensor, "3 rows columns"] | None = None
     finder: Callable[[Float[Tensor, "3 height width"], bool, str], Camera] | None = None
+    occluder_albedo: float = 0.0
 
     def __post_init__(self) -> None:
         if self.triangles.ndim != 3 or self.triangles.shape[1:] != (3, 3):

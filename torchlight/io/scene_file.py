@@ -25,7 +25,7 @@ from torchlight.io.yaml_file import read_yaml
 from torchlight.photo.board_camera import BoardCamera
 from torchlight.photo.target import Sheet
 
-_SCENE_KEYS = ("units", "occluders", "receiver", "camera", "photo", "reference", "mask")
+_SCENE_KEYS = ("units", "occluders", "occluder_albedo", "receiver", "camera", "photo", "reference", "mask")
 _RECEIVER_KEYS = ("center", "size", "samples", "albedo")
 _CAMERA_KEYS = ("image_size", "K", "distortion", "world_to_camera")
 _BOARD_CAMERA_KEYS = ("intrinsics", "board")
@@ -61,6 +61,7 @@ def load_scene(path: str | Path) -> Scene:
         camera=camera,
         units=fields.text(known["units"]) if "units" in known else "unit",
         mask=_mask(known["mask"], camera) if "mask" in known else None,
+        occluder_albedo=_occluder_albedo(known["occluder_albedo"]) if "occluder_albedo" in known else 0.0,
         **(photo_keys(known["photo"]) if "photo" in known else {}),
         **(reference_keys(known["reference"], receiver) if "reference" in known else {}),
     )
@@ -84,6 +85,13 @@ def _albedo(field: Field) -> tuple[float, float, float]:
         return red, green, blue
     grey = fields.number(field)
     return grey, grey, grey
+
+
+def _occluder_albedo(field: Field) -> float:
+    albedo = fields.number(field)
+    if not 0.0 <= albedo < 1.0:
+        field.fail(f"expected a number in [0, 1), got {albedo:g}; ebony: 0.05, painted black: 0.04")
+    return albedo
 
 
 def _names_a_board(field: Field) -> bool:
