@@ -14,16 +14,18 @@ import math
 import os
 import sys
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-import mitsuba
 import numpy as np
 import torch
 import tyro
 from jaxtyping import Float
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
-from paper.mitsuba_truth import VARIANT, constant_per_pixel, diffuse, plane_scene
+from paper.mitsuba_truth import VARIANT, constant_per_pixel, diffuse, installed, plane_scene
 from torch import Tensor
 
 from torchlight.geometry.footprints import footprint_points
@@ -82,8 +84,8 @@ def main(data: Path | None = None, distant: int = 20, near: int = 10, seed: int 
     root = data if data is not None else Path(os.environ.get("TORCHLIGHT_DATA", ""))
     if not (root / "meshes").exists():
         sys.exit(f"near_light_rates: no meshes in '{root}'; pass --data DIR or set TORCHLIGHT_DATA")
-    mitsuba.set_variant(VARIANT)
-    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    if not installed():
+        sys.exit("near_light_rates: Mitsuba is not installed; pip install mitsuba")
     print("| object | light | p | near | drift, degrees | true | off by |\n| --- | --- | --- | --- | --- | --- | --- |")
     alarms = sum(judged(distant_photo(root, seed, index, reference)).flagged for index in range(distant))
     found, errors = 0, []
@@ -127,6 +129,7 @@ def distant_photo(root: Path, seed: int, index: int, reference: str) -> Rendered
     name, kind = PROBES[index // 2 % len(PROBES)], ("block", "chair")[index // 2 % 2]
     radiance = read_light(root / "probes" / f"{name}.hdr", "blender").radiance
     turned = EnvironmentMap(radiance.roll(int(draw.between(0, radiance.shape[-1])), -1))
+    mitsuba = renderer()
     upright = mitsuba.ScalarTransform4f().rotate([1.0, 0.0, 0.0], 90.0)
     light = {"type": "envmap", "bitmap": mitsuba.Bitmap(constant_per_pixel(turned)), "to_world": upright}
     triangles = solid(root, kind, draw)
@@ -202,8 +205,18 @@ def shown_from_above(triangles: Float[Tensor, "faces 3 3"]) -> Tensor:
     return ~(grown > 0).flip(0)
 
 
+@cache
+def renderer() -> ModuleType:
+    """Returns Mitsuba, set up."""
+    mitsuba = import_module("mitsuba")
+    mitsuba.set_variant(VARIANT)
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    return mitsuba
+
+
 def rendered(triangles: Float[Tensor, "faces 3 3"] | None, light: dict[str, Any]) -> Float[Tensor, "3 points"]:
     """Returns the plane from above under a light, with a black object or without."""
+    mitsuba = renderer()
     scene = plane_scene(mitsuba, RECEIVER, None, LIGHT_SAMPLES)
     width = RECEIVER.size[0]
     above = mitsuba.ScalarTransform4f().look_at(
@@ -220,6 +233,7 @@ def rendered(triangles: Float[Tensor, "faces 3 3"] | None, light: dict[str, Any]
 def black(triangles: Float[Tensor, "faces 3 3"]) -> object:
     """Returns a triangle soup that reflects nothing."""
     corners = np.ascontiguousarray(triangles.float().numpy().reshape(-1, 3))
+    mitsuba = renderer()
     properties = mitsuba.Properties()
     properties["bsdf"] = mitsuba.load_dict({"type": "twosided", "inner": diffuse(0.0)})
     mesh = mitsuba.Mesh("object", vertex_count=len(corners), face_count=len(corners) // 3, props=properties)
