@@ -202,14 +202,31 @@ def empty_lists(lines):
 
 @compiled
 @no_type_check
+def note(begin, end, x0, t0, slope, step, columns, lists):
+    """Writes where one edge crosses lines, x = x0 + (line - t0) slope; returns whether there was room for all."""
+    places, steps, crossings, before = lists
+    for line in range(begin, end):
+        place = x0 + (line - t0) * slope
+        if place <= 0.0:
+            before[line] += step
+        elif place < columns:
+            if crossings[line] == places.shape[1]:
+                return False
+            places[line, crossings[line]] = place
+            steps[line, crossings[line]] = step
+            crossings[line] += 1
+    return True
+
+
+@compiled
+@no_type_check
 def cross(edges, chosen, hits, meeting, x, y, shift, columns, lists, reached):
     """Writes where chosen edges cross the lines in one direction, and the lowest and highest line `reached`.
 
     A line y = k + shift is crossed by an edge with one end below it and the other not. Crossings right of the grid
     are dropped, those left of it only counted. Returns whether there was room for all.
     """
-    places, steps, crossings, before = lists
-    lines, room = places.shape
+    lines = len(lists[0])
     for hit in range(hits):
         e = chosen[hit]
         t0, t1 = edges[1, e] - y * edges[2, e] - shift, edges[4, e] - y * edges[5, e] - shift
@@ -218,16 +235,8 @@ def cross(edges, chosen, hits, meeting, x, y, shift, columns, lists, reached):
         step = np.int32(-meeting[e] if t0 < t1 else meeting[e])
         slope = (x1 - x0) / (t1 - t0)
         reached[0], reached[1] = min(reached[0], begin), max(reached[1], end)
-        for line in range(begin, end):
-            place = x0 + (line - t0) * slope
-            if place <= 0.0:
-                before[line] += step
-            elif place < columns:
-                if crossings[line] == room:
-                    return False
-                places[line, crossings[line]] = place
-                steps[line, crossings[line]] = step
-                crossings[line] += 1
+        if not note(begin, end, x0, t0, slope, step, columns, lists):
+            return False
     return True
 
 
@@ -449,8 +458,7 @@ def contours_of(normals, sides, first, x, y, chosen, found):
 @no_type_check
 def cross_centers(ends, chosen, found, x, y, columns, lists, reached):
     """Does what `cross` does, for contours of which few meet a line, the lines of the sample centres."""
-    places, steps, crossings, before = lists
-    lines, room = places.shape
+    lines = len(lists[0])
     for hit in range(found):
         e = chosen[0, hit]
         t0, t1 = ends[e, 0, 1] - y * ends[e, 0, 2] - 0.5, ends[e, 1, 1] - y * ends[e, 1, 2] - 0.5
@@ -461,16 +469,8 @@ def cross_centers(ends, chosen, found, x, y, columns, lists, reached):
         step = -chosen[1, hit] if t0 < t1 else chosen[1, hit]
         slope = (x1 - x0) / (t1 - t0)
         reached[0], reached[1] = min(reached[0], begin), max(reached[1], end)
-        for line in range(begin, end):
-            place = x0 + (line - t0) * slope
-            if place <= 0.0:
-                before[line] += step
-            elif place < columns:
-                if crossings[line] == room:
-                    return False
-                places[line, crossings[line]] = place
-                steps[line, crossings[line]] = step
-                crossings[line] += 1
+        if not note(begin, end, x0, t0, slope, step, columns, lists):
+            return False
     return True
 
 
