@@ -18,22 +18,18 @@ from pathlib import Path
 
 import torch
 import tyro
-from jaxtyping import Float, Int
 from paper.measure import pose_columns, relit_by_squares
 from paper.setting import POSES, RECEIVER, exposed
 from paper.truth import Truth, truths
-from torch import Tensor
 
 from torchlight import metrics
 from torchlight.errors import TorchlightError
-from torchlight.geometry.contours import scene_contours
 from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
-from torchlight.inversion.nodes import NodeColumns
 from torchlight.io.lights import read_light
+from torchlight.joint import side_by_side
 from torchlight.photo.observation import Observation
-from torchlight.precomputation import precompute
+from torchlight.precomputation import Columns, precompute
 from torchlight.synthetic import block_scene, eight_bit
-from torchlight.transfer import Transfer, square_columns
 
 SETTINGS = AdaptiveHaar()
 
@@ -55,7 +51,7 @@ def main(data: Path | None = None, probe: str = "kitchen_cross", out: Path = Pat
     print(f"{probe}: RMS of 255\n\n| light from | functions | on the photograph | other poses, mean | each |")
     print("| --- | --- | --- | --- | --- |")
     for name, count in (("the photograph", 1), ("the photograph and the other poses", len(POSES))):
-        found = solve_adaptive(together(count), side_by_side(judged[:count]), SETTINGS)
+        found = solve_adaptive(together(count), pictures(judged[:count]), SETTINGS)
         poses = [pose_columns(block, SETTINGS.max_resolution) for block in POSES]
         shown = [relit_by_squares(pose, found.solution.coefficients, found.refinement) / torch.pi for pose in poses]
         errors = [metrics.rms_255(v, case.samples, case.weights).item() for v, case in zip(shown, judged, strict=True)]
@@ -64,23 +60,17 @@ def main(data: Path | None = None, probe: str = "kitchen_cross", out: Path = Pat
         print(f"| {name} | {functions} | {errors[0]:.3f} | {mean:.3f} | {others} |")
 
 
-def side_by_side(cases: Sequence[Observation]) -> Observation:
+def pictures(cases: Sequence[Observation]) -> Observation:
     """Returns 8-bit pictures of several poses as the irradiance samples of one receiver."""
     samples = torch.cat([eight_bit(case.samples.double()) for case in cases], dim=-1)
     return Observation(samples * torch.pi, torch.cat([case.weights.double() for case in cases], dim=-1))
 
 
-def together(count: int) -> NodeColumns:
+def together(count: int) -> Columns:
     """Returns the columns of the first poses, their samples one after another, as of one receiver."""
     scenes = [block_scene(block, RECEIVER) for block in POSES[:count]]
-    contours = [scene_contours(scene) for scene in scenes]
-    dense = torch.cat([precompute(scene, SETTINGS.dense_resolution).transport for scene in scenes])
-
-    def cast(squares: Int[Tensor, "squares 4"], cells: int) -> Float[Tensor, "squares points"]:
-        parts = zip(scenes, contours, strict=True)
-        return torch.cat([square_columns(scene, squares, cells, edges) for scene, edges in parts], dim=1)
-
-    return NodeColumns(Transfer(dense, SETTINGS.dense_resolution), SETTINGS.max_resolution, cast)
+    transfers = [precompute(scene, SETTINGS.dense_resolution) for scene in scenes]
+    return side_by_side(scenes, transfers, SETTINGS).columns
 
 
 if __name__ == "__main__":

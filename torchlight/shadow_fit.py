@@ -29,10 +29,10 @@ from torchlight.inversion.nodes import LEAST_CELLS, NodeColumns
 from torchlight.inversion.quadtree import pyramid, squares
 from torchlight.inversion.refinement import needed
 from torchlight.photo.observation import Observation
-from torchlight.precomputation import DIRECTIONS_PER_EDGE, deepened
+from torchlight.precomputation import deepened, precompute
 from torchlight.relighting import albedo_over_pi
 from torchlight.solvers import NNLS
-from torchlight.transfer import square_columns, transport
+from torchlight.transfer import square_columns
 
 DIFFERENCE = 0.5  # of a footprint: the shadow's edge is averaged over one, so that smaller differences gain nothing
 CELLS_PER_EDGE = 96  # directions along a face's edge, for differences
@@ -148,9 +148,7 @@ def solved(frame: Frame, pose: Pose, look: Look, settings: AdaptiveHaar) -> Fit:
 
 def cast(scene: Scene, settings: AdaptiveHaar) -> NodeColumns:
     """Returns the columns of a scene, which no other photograph will ask for."""
-    resolution = settings.dense_resolution
-    dense = transport(scene, resolution, max(2, DIRECTIONS_PER_EDGE // resolution))
-    return deepened(scene, dense, settings.max_resolution)
+    return deepened(scene, precompute(scene, settings.dense_resolution, use_cache=False), settings.max_resolution)
 
 
 def fitted(pose: Pose, columns: NodeColumns, observation: Observation, settings: AdaptiveHaar) -> Fit:

@@ -51,7 +51,7 @@ def warn_of_rejections(path: Path, estimate: Estimate) -> None:
         share = int((where & lost).sum()) / max(1, int((where & (lost | kept)).sum()))
         if share > MANY:
             fail(
-                f"warning: {path}: --robust let go of {share:.0%} of {name} (fit.png shows where): the object's size "
-                "or place, the pose or a near lamp does not fit; compare with the result without --robust"
+                f"warning: {path}: --robust let go of {share:.0%} of {name} (its fit picture shows where): the "
+                "object's size or place, the pose or a near lamp does not fit; compare with the result without --robust"
             )
             return

@@ -159,7 +159,7 @@ def coarse_squares() -> Int[Tensor, "squares 4"]:
 def refined(
     shadow: Shadow, squares: Int[Tensor, "squares 4"], shown: Float[Tensor, " used"], curvature: float
 ) -> tuple[Int[Tensor, "more 4"], Fit]:
-    """Returns squares of which none that could be cut holds more than a hundredth of the flux, and the fit."""
+    """Returns squares of which none that could be cut holds more than a fiftieth of the flux, and the fit."""
     matrix = columns(shadow, squares, curvature)
     while True:
         found = fit(shadow, matrix, shown)
