@@ -20,7 +20,7 @@ import tyro
 from calibration_check import DESK, four, seen
 from merge_check import exposure_list, log_errors
 from real.chair import SCREEN, chair
-from real.cube import cube, measured_lamp_height, photo_of, predicted_overlap
+from real.cube import cube, measured_lamp_height, photo_of, predicted_overlap, told_by_the_left
 from real.page import Picture, Row, page, table
 from real.pencil import one_lamp, pencils, second_lamp
 from real.pictures import pictures_side_by_side, sheet_picture
@@ -156,10 +156,17 @@ def pencil(data: Path) -> Iterator[Item]:
 
 
 def half_cube(data: Path) -> Iterator[Item]:
-    """Yields the cube's shadow predicted from its left half, by distant light and by lamps at the measured height."""
-    height = measured_lamp_height(data)
+    """Yields the cube's shadow predicted from its left half: by distant light, and by light at two heights.
+
+    One is what the near-light test finds in the same left half, the other is measured in another photograph.
+    """
+    height, told = measured_lamp_height(data), told_by_the_left(data)
     what = "desk_cube10cm, right half of the shadow predicted from the left"
-    for kind, lamps in (("distant light", None), (f"lamps at {height:.0f} mm, measured in img3", height)):
+    kinds: list[tuple[str, float | None]] = [("distant light", None)]
+    if told is not None and told.flagged:
+        kinds.append((f"lamps at {told.height:.0f} mm, found in the left half", told.height))
+    kinds.append((f"lamps at {height:.0f} mm, measured in img3", height))
+    for kind, lamps in kinds:
         half = cube(data, lamps)
         share = predicted_overlap(half)
         others = ", ".join(f"{predicted_overlap(half, at):.2f}" for at in SHARES)

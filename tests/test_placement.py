@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.testing import assert_close
 from workbench import BOX, LINEAR, RECEIVER, png, scene_file, torchlight
 
-from torchlight import placement, shadow_fit
+from torchlight import shadow_fit
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.primitives import cylinder
 from torchlight.geometry.receiver import Receiver
@@ -24,7 +24,9 @@ from torchlight.light import latlong
 from torchlight.light.environment import EnvironmentMap
 from torchlight.observing import observe
 from torchlight.photo.observation import Observation, linear_photo
-from torchlight.placement import Placement, refine, sentence
+from torchlight.placement import shadow
+from torchlight.placement.report import Placement, sentence
+from torchlight.placement.shadow import refine
 from torchlight.relighting import relight
 from torchlight.synthetic import block_scene, block_values, eight_bit, expose, pixel_rays, receiver_image
 
@@ -65,6 +67,13 @@ def refined(light: str, true: Block) -> tuple[Scene, Placement]:
     return refine(block_scene(STATED, PLANE), lambda scene: observe(photo, scene))
 
 
+def rms_of(placement: Placement) -> tuple[float, float]:
+    """Returns the residual at the stated pose and where the object was left."""
+    assert placement.rms_before is not None
+    assert placement.rms_after is not None
+    return placement.rms_before, placement.rms_after
+
+
 def reach(x: float, y: float, degrees: float) -> float:
     """Returns how far a movement takes the block's points at most."""
     return math.hypot(x, y) + RADIUS * abs(math.radians(degrees))
@@ -76,8 +85,8 @@ def test_a_wrong_place_is_found_to_a_fifth(light: str) -> None:
     error = (found.moved[0] - 0.02, found.moved[1] + 0.015, found.turned_degrees - 3.0)
     assert reach(*error) <= reach(0.02, -0.015, 3.0) / 5, found
     assert found.verdict == "moved"
-    assert 1 <= found.steps <= placement.MAX_STEPS
-    assert found.rms_after < found.rms_before
+    assert 1 <= found.steps <= shadow.MAX_STEPS
+    assert rms_of(found)[1] < rms_of(found)[0]
 
 
 @pytest.mark.parametrize("light", LIGHTS)
@@ -95,7 +104,7 @@ def test_a_right_place_is_left_within_three_deviations(light: str) -> None:
     for movement, deviation in zip((*found.moved, found.turned_degrees), found.deviation, strict=True):
         assert deviation is not None
         assert abs(movement) <= 3 * deviation, found
-    assert found.rms_after <= found.rms_before
+    assert rms_of(found)[1] <= rms_of(found)[0]
 
 
 def test_the_scene_is_where_the_report_says() -> None:
@@ -182,12 +191,12 @@ def only(fit: shadow_fit.Fit, square: int) -> shadow_fit.Fit:
 
 
 def test_the_line_says_what_moved_and_how_sure_it_is() -> None:
-    moved = Placement((1.25, -0.5), 2.0, (0.1, 0.2, None), 3.0, 1.0, 2, "moved")
+    moved = Placement("shadow", (1.25, -0.5), 2.0, (0.1, 0.2, None), 3.0, 1.0, 2, "moved")
     assert sentence(moved, "mm") == (
         "the object was moved by (1.25, -0.5) mm, turned by 2 degrees; x +- 0.1 mm, y +- 0.2 mm; "
         "RMS 3.00 -> 1.00 of 255"
     )
-    still = Placement((0.0, 0.0), 0.0, (None, None, None), 3.0, 3.0, 0, "left as stated: for a reason")
+    still = Placement("shadow", (0.0, 0.0), 0.0, (None, None, None), 3.0, 3.0, 0, "left as stated: for a reason")
     assert sentence(still, "mm") == "the object was left as stated: for a reason; RMS 3.00 -> 3.00 of 255"
 
 
@@ -202,5 +211,7 @@ def test_the_command_moves_the_object_and_says_so(tmp_path: Path) -> None:
     found = result["placement"]
     error = reach(found["moved"][0] - 0.02, found["moved"][1] + 0.015, found["turned_degrees"] - 3)
     assert error <= reach(0.02, -0.015, 3) / 5
-    assert set(found) == {"moved", "turned_degrees", "deviation", "rms_before", "rms_after", "steps", "verdict"}
+    assert set(found) == {
+        *("by", "moved", "turned_degrees", "deviation", "rms_before", "rms_after", "steps", "verdict")
+    }
     assert result["rms_255"] < 0.8 * found["rms_before"]  # the light was found with the object where it was moved

@@ -36,25 +36,6 @@ RECEIVER = Receiver((0.0, -4.0), (60.0, 44.0), (60, 44))
 # --- lamps at one height -------------------------------------------------------------------------------------------
 
 
-def test_near_shadows_are_distant_shadows_of_the_drawn_out_object() -> None:
-    generator = torch.Generator().manual_seed(0)
-    points = torch.rand(50, 3, generator=generator, dtype=torch.float64) * torch.tensor([40.0, 40.0, 80.0])
-    lamps = torch.cat([torch.randn(50, 2, generator=generator, dtype=torch.float64) * 60, torch.full((50, 1), 100)], 1)
-    lamps = lamps.double()
-    along = points[:, None] - lamps[None]  # from every lamp through every point to z = 0
-    near = lamps[None] - along * (lamps[:, 2:] / along[..., 2:])
-    far = lamp_plane.drawn_out(points, 100.0)
-    shadows = far[:, None, :2] - far[:, None, 2:] * (lamps / lamps[:, 2:])[None, :, :2]
-    assert_close(shadows, near[..., :2], rtol=1e-12, atol=1e-9)
-
-
-def test_drawing_out_keeps_the_plane_and_refuses_what_is_as_high_as_the_lamps() -> None:
-    flat = torch.tensor([[3.0, -4.0, 0.0]])
-    assert_close(lamp_plane.drawn_out(flat, 50.0), flat, rtol=0, atol=0)
-    with pytest.raises(SceneError, match="must lie below the lamps"):
-        lamp_plane.drawn_out(torch.tensor([[0.0, 0.0, 50.0]]), 50.0)
-
-
 def test_lamp_height_is_that_of_the_rays_through_an_edge() -> None:
     for lamp in (150.0, 400.0, 3000.0):
         shadow = 101.0 * lamp / (lamp - 104.0)

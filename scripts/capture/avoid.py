@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from matplotlib.figure import Figure
-from real.lamp_plane import drawn_out
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
@@ -24,6 +23,7 @@ from torchlight.geometry.transforms import transform
 from torchlight.light.directions import from_angles
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.latlong import pixel_directions
+from torchlight.light_plane import LightPlane
 from torchlight.relighting import relight
 from torchlight.view import standing_free
 
@@ -107,8 +107,9 @@ def near_lamp(lamp: EnvironmentMap, sky: EnvironmentMap) -> Float[Tensor, "3 poi
     place = toward[:2] / toward[2] * NEAR
     away = (sample_centers(RECEIVER).double() - place).square().sum(-1)
     falloff = (NEAR**2 + place.square().sum()) ** 2 / (NEAR**2 + away) ** 2
-    drawn = replace(scene(), triangles=drawn_out(scene().triangles, NEAR))
-    return (FITTED * (shown(drawn, lamp) * falloff + shown(scene(), sky))).clamp(max=1)
+    plane = LightPlane(NEAR)
+    near = relight(replace(scene(), light_plane=plane), replace(lamp, plane=plane), RAYS)
+    return (FITTED * (near * falloff + shown(scene(), sky))).clamp(max=1)
 
 
 def tone_mapped(values: Float[Tensor, "3 points"]) -> Float[Tensor, "3 points"]:

@@ -1,7 +1,7 @@
 """A wall behind a chair lit by a computer screen: light too near for a distant model, read from a MATLAB workspace.
 
 Saunders, Murray-Bruce and Goyal, "Computational periscopy with an ordinary digital camera", Nature 565 (2019). The
-screen hangs parallel to the wall at 1030 mm, so that `lamp_plane.drawn_out` gives its shadows exactly; the fall-off
+screen hangs parallel to the wall at 1030 mm, so that `torchlight.light_plane` gives its shadows exactly; the fall-off
 of brightness over the wall, and that the screen is dimmer when seen from the side, are left to `smooth`.
 """
 
@@ -23,13 +23,12 @@ from torchlight.geometry.receiver import sample_centers
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.adaptive import AdaptiveHaar
 from torchlight.io.scene_file import load_scene
+from torchlight.light_plane import LightPlane
 from torchlight.observing import observe
 from torchlight.photo import reference
 from torchlight.photo.observation import Observation, linear_photo
 from torchlight.pipeline import Estimate, explain
 from torchlight.precomputation import columns_for
-
-from .lamp_plane import drawn_out
 
 SCENE = Path(__file__).resolve().parents[2] / "configs" / "scenes" / "periscopy_chair" / "chair.yaml"
 SCREEN = 1030.0  # mm from the wall
@@ -77,7 +76,7 @@ def chair(data: Path, lamps: float | None = None) -> Chair:
     radiance, screen = read_chair(data / "photos" / "periscopy_chair" / "chair_test.mat")
     seen = observe(linear_photo(radiance / radiance.max()), scene)
     shown = reference.divide(seen, reference.smooth(seen, sample_centers(scene.receiver)))
-    shadowing = scene if lamps is None else replace(scene, triangles=drawn_out(scene.triangles, lamps))
+    lit = scene if lamps is None else replace(scene, light_plane=LightPlane(lamps))
     solver = AdaptiveHaar()
-    found = explain(shown, shadowing, columns_for(shadowing, solver.basis, solver), solver.basis, solver)
+    found = explain(shown, lit, columns_for(lit, solver.basis, solver), solver.basis, solver)
     return Chair(scene, radiance / radiance.max(), screen, shown, found)

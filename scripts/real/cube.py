@@ -5,7 +5,8 @@ shadow's axis. There a sample is in shadow where its predicted brightness lies b
 and the darkest prediction, and is compared with the outline that was drawn over the photograph beforehand.
 
 The lamp hangs 0.6 m above the desk, so that its shadow widens: distant light, the usual model, throws the right edge
-where the left one asks for it, too far left. How high the lamp hangs is measured in another photograph of it.
+where the left one asks for it, too far left. How high the lamp hangs is told by the left half itself, as
+`torchlight estimate --estimate-height` asks it, or measured in another photograph of it (`light.height`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from torchlight.geometry.scene import Scene
 from torchlight.inversion.adaptive import AdaptiveHaar
 from torchlight.io.images import read_photo
 from torchlight.io.scene_file import load_scene
+from torchlight.light_plane import LightPlane
+from torchlight.near_light.verdict import NearLight, near_light
 from torchlight.observing import linearize, observe
 from torchlight.photo import reference
 from torchlight.photo.observation import Observation
@@ -28,7 +31,7 @@ from torchlight.pipeline import Estimate, explain
 from torchlight.precomputation import columns_for
 
 from .drawing import Drawing, foreign_part, inside, read_drawing, right_of_axis
-from .lamp_plane import drawn_out, lamp_height, shadow_width
+from .lamp_plane import lamp_height, shadow_width
 
 FOLDER = Path(__file__).resolve().parents[2] / "configs" / "scenes" / "desk_cube10cm"
 THRESHOLD = 0.5  # of the way from the darkest to the brightest prediction
@@ -66,13 +69,11 @@ def half_shadow(photo: Path, scene: Scene, drawing: Drawing, lamps: float | None
     """
     centers = sample_centers(scene.receiver)
     right = right_of_axis(drawing, centers)
-    seen = observe(linearize(read_photo(photo), scene), replace(scene, reference="uniform"))
-    shown = replace(seen, weights=seen.weights * ~foreign_part(drawing, centers))
-    left = replace(shown, weights=shown.weights * ~right)
-    fitted = reference.divide(left, reference.smooth(left, centers))
-    shadowing = scene if lamps is None else replace(scene, triangles=drawn_out(scene.triangles, lamps))
+    shown = shown_of_both(photo, scene, drawing)
+    fitted = left_half(shown, scene, drawing)
+    lit = scene if lamps is None else replace(scene, light_plane=LightPlane(lamps))
     solver = AdaptiveHaar()
-    found = explain(fitted, shadowing, columns_for(shadowing, solver.basis, solver), solver.basis, solver)
+    found = explain(fitted, lit, columns_for(lit, solver.basis, solver), solver.basis, solver)
     usable = right & (shown.weights > 0)
     return HalfShadow(scene, shown, found, usable, usable & inside(drawing.shadow, centers))
 
@@ -81,6 +82,26 @@ def cube(data: Path, lamps: float | None = None) -> HalfShadow:
     """Returns the half shadow of img4 under distant light, or under lamps at a height."""
     drawing = read_drawing(FOLDER / "drawn" / "img4.yaml")
     return half_shadow(photo_of(data, "img4"), load_scene(FOLDER / "img4.yaml"), drawing, lamps)
+
+
+def shown_of_both(photo: Path, scene: Scene, drawing: Drawing) -> Observation:
+    """Returns what the photograph shows of both halves, without what the scene does not know."""
+    seen = observe(linearize(read_photo(photo), scene), replace(scene, reference="uniform"))
+    return replace(seen, weights=seen.weights * ~foreign_part(drawing, sample_centers(scene.receiver)))
+
+
+def left_half(shown: Observation, scene: Scene, drawing: Drawing) -> Observation:
+    """Returns the left half alone, its own fall-off divided out."""
+    centers = sample_centers(scene.receiver)
+    left = replace(shown, weights=shown.weights * ~right_of_axis(drawing, centers))
+    return reference.divide(left, reference.smooth(left, centers))
+
+
+def told_by_the_left(data: Path) -> NearLight | None:
+    """Returns what the left half of img4 alone tells of the distance of its light."""
+    drawing, scene = read_drawing(FOLDER / "drawn" / "img4.yaml"), load_scene(FOLDER / "img4.yaml")
+    shown = shown_of_both(photo_of(data, "img4"), scene, drawing)
+    return near_light(scene, left_half(shown, scene, drawing))
 
 
 def measured_lamp_height(data: Path) -> float:

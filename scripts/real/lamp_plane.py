@@ -1,10 +1,4 @@
-"""Near lamps at one height: their shadows are those of distant light on an object that is drawn out towards them.
-
-A lamp at (l, H) throws the point (q, z), z < H, to q H / (H - z) - l z / (H - z) on the plane. Distant light of
-direction (l, H) throws the point (q, z) H / (H - z) to the same place, wherever the lamp hangs in the plane z = H. So
-one drawn-out object serves every lamp of that height, a tube or a screen as well; only the fall-off of brightness
-over the plane is not that of distant light.
-"""
+"""How high a near lamp hangs, from the width of the shadow that it throws of an edge of known length and height."""
 
 from __future__ import annotations
 
@@ -14,22 +8,6 @@ from torch import Tensor
 
 from torchlight.errors import SceneError
 from torchlight.photo.observation import Observation
-
-
-def drawn_out(points: Float[Tensor, "*batch 3"], height: float) -> Float[Tensor, "*batch 3"]:
-    """Returns points with the factor H / (H - z): straight lines and planes stay straight, z = 0 stays where it is.
-
-    Args:
-        points: x, y, z in the world.
-        height: H, of the lamps above the plane.
-
-    Raises:
-        SceneError: a point lies as high as the lamps.
-    """
-    highest = points[..., 2].max().item()
-    if not highest < height:
-        raise SceneError(f"the object is {highest:g} high and must lie below the lamps, which hang at {height:g}")
-    return points * (height / (height - points[..., 2:]))
 
 
 def lamp_height(width: float, shadow: float, height: float) -> float:

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.geometry.receiver import sample_centers
-from torchlight.geometry.scene import Scene
+from torchlight.geometry.scene import Scene, shadowing
 from torchlight.geometry.visibility import scene_occlusion
 from torchlight.light import cubemap
 from torchlight.light.bases import SphericalHarmonics
@@ -111,7 +111,7 @@ def slices(scene: Scene, samples: Int[Tensor, " samples"], angles: int = 721) ->
     azimuth = torch.atan2(towards[:, 1], towards[:, 0])
     # strictly above the plane: a ray along it says nothing about an occluder that stands on it
     angle = torch.linspace(-0.5, 0.5, angles + 2, dtype=torch.float64)[1:-1] * math.pi
-    test = scene_occlusion(scene)
+    test = scene_occlusion(shadowing(scene))
     values = []
     for center, turn in zip(centers, azimuth, strict=True):
         directions = torch.stack([angle.sin() * turn.cos(), angle.sin() * turn.sin(), angle.cos()], dim=1)

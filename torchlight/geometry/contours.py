@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.geometry.receiver import receiver_corners
-from torchlight.geometry.scene import Scene
+from torchlight.geometry.scene import Scene, shadowing
 from torchlight.geometry.visibility import LIFT, unit_frame
 
 CLUSTER = 16  # edges whose facing is decided together
@@ -55,7 +55,11 @@ class Contours:
 
 
 def scene_contours(scene: Scene) -> Contours:
-    """Returns the edges of a scene's occluders; what reaches less than `LIFT` of its size above z = 0 lies in it."""
+    """Returns the edges that bound shadows of a scene's occluders, as distant light is to see them (`shadowing`).
+
+    What reaches less than `LIFT` of its size above z = 0 lies in it.
+    """
+    scene = shadowing(scene)
     corners = torch.cat([scene.triangles.reshape(-1, 3), receiver_corners(scene.receiver).to(scene.triangles)])
     return prepare(scene.triangles, LIFT / unit_frame(corners).scale)
 

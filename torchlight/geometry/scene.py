@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -13,6 +13,7 @@ from torch import Tensor
 from torchlight.camera import Camera
 from torchlight.errors import SceneError
 from torchlight.geometry.receiver import Receiver
+from torchlight.light_plane import LightPlane
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,7 @@ class Scene:
         albedo_map: the receiver's albedo, seen from above as a rectified photograph; 0 where unknown.
         occluder_albedo: how much light the occluders throw back, gloss included; 0 = black, or not to be accounted for.
         mask: True where a photograph's pixel may be used (photograph pixels, or receiver pixels without a camera).
+        light_plane: where all light stands; None = far away.
     """
 
     triangles: Float[Tensor, "faces 3 3"]
@@ -50,9 +52,24 @@ class Scene:
     albedo_map: Float[Tensor, "3 rows columns"] | None = None
     finder: Callable[[Float[Tensor, "3 height width"], bool, str], Camera] | None = None
     occluder_albedo: float = 0.0
+    light_plane: LightPlane | None = None
 
     def __post_init__(self) -> None:
         if self.triangles.ndim != 3 or self.triangles.shape[1:] != (3, 3):
             raise SceneError(f"triangles: expected shape [faces, 3, 3], got {list(self.triangles.shape)}")
         if not bool(torch.isfinite(self.triangles).all()):
             raise SceneError("triangles: some vertices are NaN or infinite; clean or re-export the mesh")
+        if self.light_plane is not None and len(self.triangles) > 0:
+            self.light_plane.check_above(float(self.triangles[..., 2].max()))
+        if self.light_plane is not None and self.occluder_albedo > 0:
+            raise SceneError(
+                "light.height and occluder_albedo cannot be combined: what the occluders throw back is known for "
+                "distant light only; leave one of them out"
+            )
+
+
+def shadowing(scene: Scene) -> Scene:
+    """Returns the scene whose distant light throws the shadows that this one's light does (`light_plane`)."""
+    if scene.light_plane is None:
+        return scene
+    return replace(scene, triangles=scene.light_plane.stretch(scene.triangles), light_plane=None)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
-from torchlight.errors import ConfigError, FormatError, ShapeError
+from torchlight.errors import ConfigError, FormatError, SceneError, ShapeError
 from torchlight.io.exr import read_exr, write_exr
 from torchlight.io.exr_container import MAGIC as EXR_MAGIC
+from torchlight.io.fields import shown
 from torchlight.io.files import read_bytes
 from torchlight.io.rgbe import decode_hdr, write_hdr
 from torchlight.light.environment import EnvironmentMap
@@ -23,6 +25,7 @@ from torchlight.light.formats import (
     kind_of,
     to_latlong,
 )
+from torchlight.light_plane import LightPlane
 
 _HDR_MAGIC = b"#?"
 _OPENEXR_FAMILY = ("openexr", "usd", "mitsuba")
@@ -51,8 +54,9 @@ def read_light(path: str | Path, convention: str | None = None) -> EnvironmentMa
         stored = metadata.get("convention", "torchlight") if convention is None else convention
         radiance = from_latlong(image, str(stored)) if kind == "latlong" else _FIXED_KINDS[kind](image)
         nonnegative = bool(metadata.get("nonnegative", not bool((radiance < 0).any())))
-        environment = EnvironmentMap(radiance, nonnegative=nonnegative, units=str(metadata.get("units", "relative")))
-    except (ConfigError, ShapeError, FormatError) as error:
+        units, plane = str(metadata.get("units", "relative")), _plane(metadata.get("light_plane"))
+        environment = EnvironmentMap(radiance, nonnegative=nonnegative, units=units, plane=plane)
+    except (ConfigError, ShapeError, FormatError, SceneError) as error:
         raise FormatError(f"{path}: {error}") from error
     if kind != "latlong" and convention is not None:
         raise ConfigError(f"convention: {path} is no lat-long but {_NAMES[kind]}, whose axes are fixed; leave it out")
@@ -67,6 +71,8 @@ def write_light(
     convention: str = "torchlight",
 ) -> None:
     """Writes one map as a lat-long: .exr with everything, .hdr with negative values set to 0 and no metadata.
+
+    A .hdr does not say that a light is near: what reads it takes it as far away.
 
     Args:
         path: its suffix chooses the format.
@@ -86,6 +92,8 @@ def write_light(
     suffix = Path(path).suffix.lower()
     if suffix == ".exr":
         own = {"convention": convention, "units": environment.units, "nonnegative": environment.nonnegative}
+        if environment.plane is not None:
+            own["light_plane"] = asdict(environment.plane)
         write_exr(path, image, {**metadata, **own}, openexr_envmap=convention in _OPENEXR_FAMILY)
     elif suffix == ".hdr":
         write_hdr(path, image)
@@ -101,6 +109,17 @@ def _read(path: str | Path) -> tuple[Float[Tensor, "3 height width"], dict[str, 
     if data.startswith(_HDR_MAGIC):
         return decode_hdr(data, str(path)), {}
     raise FormatError(f"{path}: neither OpenEXR nor Radiance HDR; convert the environment map to one of them")
+
+
+def _plane(stored: object) -> LightPlane | None:
+    """Returns the plane that metadata name."""
+    if stored is None:
+        return None
+    try:
+        height, (x, y) = stored["height"], stored["center"]  # pyright: ignore[reportIndexIssue]
+        return LightPlane(float(height), (float(x), float(y)))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise FormatError(f"light_plane: expected a height and a center of two numbers, got {shown(stored)}") from error
 
 
 def _check_convention(convention: str) -> None:

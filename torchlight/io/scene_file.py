@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchlight.camera import Camera
@@ -22,10 +22,12 @@ from torchlight.io.occluders import read_occluders
 from torchlight.io.photo_keys import photo_keys, reference_keys
 from torchlight.io.target_file import read_target
 from torchlight.io.yaml_file import read_yaml
+from torchlight.light_plane import LightPlane
 from torchlight.photo.board_camera import BoardCamera
 from torchlight.photo.target import Sheet
 
-_SCENE_KEYS = ("units", "occluders", "occluder_albedo", "receiver", "camera", "photo", "reference", "mask")
+_SCENE_KEYS = ("units", "occluders", "occluder_albedo", "receiver", "light", "camera", "photo", "reference", "mask")
+_LIGHT_KEYS = ("height", "center")
 _RECEIVER_KEYS = ("center", "size", "samples", "albedo")
 _CAMERA_KEYS = ("image_size", "K", "distortion", "world_to_camera")
 _BOARD_CAMERA_KEYS = ("intrinsics", "board")
@@ -54,14 +56,18 @@ def load_scene(path: str | Path) -> Scene:
     plane = _receiver(replace(receiver, error=SceneError))
     if finder is not None:
         _check_clear_of_markers(receiver, plane, finder.sheet)
+    triangles = read_occluders(replace(occluders, error=SceneError))
+    albedo = _occluder_albedo(known["occluder_albedo"]) if "occluder_albedo" in known else 0.0
+    light = _light_plane(known["light"], plane, triangles, albedo) if "light" in known else None
     return Scene(
         receiver=plane,
         finder=finder,
-        triangles=read_occluders(replace(occluders, error=SceneError)),
+        triangles=triangles,
         camera=camera,
         units=fields.text(known["units"]) if "units" in known else "unit",
         mask=_mask(known["mask"], camera) if "mask" in known else None,
-        occluder_albedo=_occluder_albedo(known["occluder_albedo"]) if "occluder_albedo" in known else 0.0,
+        occluder_albedo=albedo,
+        light_plane=light,
         **(photo_keys(known["photo"]) if "photo" in known else {}),
         **(reference_keys(known["reference"], receiver) if "reference" in known else {}),
     )
@@ -92,6 +98,18 @@ def _occluder_albedo(field: Field) -> float:
     if not 0.0 <= albedo < 1.0:
         field.fail(f"expected a number in [0, 1), got {albedo:g}; ebony: 0.05, painted black: 0.04")
     return albedo
+
+
+def _light_plane(field: Field, receiver: Receiver, triangles: Float[Tensor, "faces 3 3"], albedo: float) -> LightPlane:
+    known = fields.mapping(field, _LIGHT_KEYS)
+    height = fields.positive(fields.required(known, "height", field, "height: 600"))
+    center = fields.numbers(known["center"], 2) if "center" in known else receiver.center
+    plane = LightPlane(height, (center[0], center[1]))
+    try:
+        Scene(triangles, receiver, light_plane=plane, occluder_albedo=albedo)  # says what cannot be
+    except SceneError as error:
+        raise SceneError(f"{field.file}: {error}") from error
+    return plane
 
 
 def _names_a_board(field: Field) -> bool:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchlight.errors import ConfigError, ShapeError
 from torchlight.light import latlong
+from torchlight.light_plane import LightPlane
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709
 
@@ -23,11 +24,13 @@ class EnvironmentMap:
         radiance: row 0 is the zenith, the centre looks along +X, the left quarter along +Y; width = 2 height.
         nonnegative: whether the method that made the map rules negative radiance out.
         units: "relative" (radiance times an unknown factor) or the name of an absolute unit.
+        plane: where the light stands, seen from the plane's center; None = far away.
     """
 
     radiance: Float[Tensor, "*batch channels=3 height width"]
     nonnegative: bool = True
     units: str = "relative"
+    plane: LightPlane | None = None
 
     def __post_init__(self) -> None:
         shape = self.radiance.shape

@@ -1,13 +1,7 @@
 """Light at a height, as distant light on a stretched object.
 
-Let all light come from a plane z = h over the receiver. The projective map about the point c of the receiver
-
-    M(x, y, z) = (c + ((x, y) - c) / (1 - k z),  z / (1 - k z)),     k = 1 / h,
-
-leaves every point of z = 0 where it is, takes straight lines to straight lines, and sends the point c + h (u, v, 1) to
-infinity in the direction (u, v, 1). So a triangle hides that point of the lamp from a sample exactly where the mapped
-triangle hides the direction (u, v, 1): near light is distant light on a stretched object, and the transport of
-`torchlight.transfer` serves for any height. k = 0 is distant light.
+The map of `torchlight.light_plane` makes light on a plane at a height h = 1 / k distant light on a stretched object, so
+that the transport of `torchlight.transfer` serves for any k; k = 0 is distant light.
 
 What a lamp's shadow tells of its height is therefore how much larger the upper parts of the object throw their shadow
 than the lower ones: by the factor 1 / (1 - k z). The fall-off of a near lamp over the plane also tells, but so do
@@ -22,22 +16,18 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchlight.geometry.contours import scene_contours
+from torchlight import light_plane
 from torchlight.geometry.receiver import sample_centers
 from torchlight.geometry.scene import Scene
 from torchlight.inversion import quadtree
 from torchlight.light import cubemap
 from torchlight.photo.reference import quadratic_terms
-from torchlight.solvers import NNLS, LeastSquares
-from torchlight.transfer import square_columns
 
 COARSE = 4  # squares along a face's edge to begin with
 FINE = 128  # and at most: 0.7 degrees
 SHARE = 0.02  # of all flux: a square that holds more is cut into four
 BRIGHT = 0.1  # of all flux: so are the neighbours of one that holds more, or a dark one might never get its turn
 TOUCH = 1.1  # angle between centres of neighbours, in the mean of their sides
-DIRECTIONS = 48  # along a face's edge,
-LEAST_DIRECTIONS = 3  # and along a square's
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,30 +56,6 @@ class Shadow:
         return float(self.scene.triangles[..., 2].max())
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """The best light at one height.
-
-    Attributes:
-        flux: of every square.
-        residual: observed less predicted, of every used sample, times the root of its weight, fall-off projected out.
-        matrix: the transport in the same units.
-        shown: predicted grey values.
-        smooth: orthonormal basis of what a smooth fall-off can do to the prediction.
-    """
-
-    flux: Float[Tensor, " squares"]
-    residual: Float[Tensor, " used"]
-    matrix: Float[Tensor, "used squares"]
-    shown: Float[Tensor, " used"]
-    smooth: Float[Tensor, "used 5"]
-
-    @property
-    def error(self) -> float:
-        """Sum of squared residuals."""
-        return float(self.residual @ self.residual)
-
-
 def shadow_of(scene: Scene, samples: Float[Tensor, "channels points"], weights: Float[Tensor, " points"]) -> Shadow:
     """Returns a photograph prepared for fits; channels are averaged."""
     used = weights > 0
@@ -113,63 +79,13 @@ def stretched(scene: Scene, centre: Float[Tensor, "2"], curvature: float) -> Sce
         centre: c, the foot of the perpendicular from which directions are counted.
         curvature: k, per unit of length.
     """
-    corners = scene.triangles.double()
-    factor = 1 / (1 - curvature * corners[..., 2:])
-    plane = centre + (corners[..., :2] - centre) * factor
-    return replace(scene, triangles=torch.cat([plane, corners[..., 2:] * factor], dim=-1))
-
-
-def columns(shadow: Shadow, squares: Int[Tensor, "squares 4"], curvature: float) -> Float[Tensor, "used squares"]:
-    """Returns what squares of light at a height show on the used samples, for a flux of 1 each."""
-    scene = stretched(shadow.scene, shadow.centre, curvature)
-    result = torch.empty(len(squares), int(shadow.used.sum()), dtype=torch.float64)
-    contours = scene_contours(scene)
-    for level in squares[:, 1].unique().tolist():
-        alike = squares[:, 1] == level
-        directions = max(LEAST_DIRECTIONS, DIRECTIONS // 2**level)
-        result[alike] = square_columns(scene, squares[alike], directions, contours)[:, shadow.used]
-    weights = cubemap.cell_cosine_weights(cubemap.square_cells(squares))
-    return (result / weights[:, None]).T
-
-
-def fit(shadow: Shadow, matrix: Float[Tensor, "used squares"], shown: Float[Tensor, " used"]) -> Fit:
-    """Returns the non-negative light that explains the photograph but for a smooth fall-off.
-
-    min |W^(1/2) (A f - v + diag(shown) Q a)|^2 over f >= 0 and any a: Q a is the fall-off, quadratic in x and y.
-
-    Args:
-        shadow: the photograph.
-        matrix: A, from `columns`.
-        shown: a prediction to begin with, of which the fall-off is a factor.
-    """
-    smooth, _ = torch.linalg.qr(shadow.terms * (shown * shadow.root)[:, None])
-    weighted, target = matrix * shadow.root[:, None], shadow.values * shadow.root
-    weighted = weighted - smooth @ (smooth.T @ weighted)
-    target = target - smooth @ (smooth.T @ target)
-    flux = NNLS(tolerance=1e-7).solve(LeastSquares(weighted, target[None])).coefficients[0]
-    return Fit(flux, target - weighted @ flux, weighted, matrix @ flux, smooth)
+    return replace(scene, triangles=light_plane.stretched(scene.triangles, centre, curvature), light_plane=None)
 
 
 def coarse_squares() -> Int[Tensor, "squares 4"]:
     """Returns the squares of the light before anything is known of it."""
     tree = quadtree.quadtree(COARSE)
     return quadtree.squares(tree, (tree.support_of < 0).nonzero()[:, 0])
-
-
-def refined(
-    shadow: Shadow, squares: Int[Tensor, "squares 4"], shown: Float[Tensor, " used"], curvature: float
-) -> tuple[Int[Tensor, "more 4"], Fit]:
-    """Returns squares of which none that could be cut holds more than a fiftieth of the flux, and the fit."""
-    matrix = columns(shadow, squares, curvature)
-    while True:
-        found = fit(shadow, matrix, shown)
-        cut = worth_cutting(squares, found.flux)
-        if not bool(cut.any()):
-            return squares, found
-        parts = quarters(squares[cut])
-        squares = torch.cat([squares[~cut], parts])
-        matrix = torch.cat([matrix[:, ~cut], columns(shadow, parts, curvature)], dim=1)
-        shown = found.shown
 
 
 def worth_cutting(squares: Int[Tensor, "squares 4"], flux: Float[Tensor, " squares"]) -> Bool[Tensor, " squares"]:

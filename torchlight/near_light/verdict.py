@@ -27,7 +27,8 @@ from torchlight.geometry.scene import Scene
 from torchlight.light import cubemap
 from torchlight.light.peaks import flux_peaks
 from torchlight.near_light.angles import widest_degrees
-from torchlight.near_light.model import Fit, Shadow, coarse_squares, columns, fit, refined, shadow_of
+from torchlight.near_light.fits import Fit, Heights
+from torchlight.near_light.model import Shadow, coarse_squares, shadow_of
 from torchlight.photo.observation import Observation
 
 FALSE_ALARMS = 0.01
@@ -125,26 +126,27 @@ def profile(shadow: Shadow) -> Profile:
     The squares of light are made fine where the light of any of several heights needs it, so that no height is
     favoured, and once more at the best one.
     """
+    heights = Heights(shadow, {})
     squares, shown = coarse_squares(), torch.ones_like(shadow.values)
     for scaled in REFINED_AT:
-        squares, found = refined(shadow, squares, shown, scaled / shadow.top)
+        squares, found = heights.refined(squares, scaled / shadow.top, shown)
         shown = found.shown
-    best, compared = search(shadow, squares, shown, SCANNED), SCANNED[1]
+    best, compared = search(heights, squares, shown, SCANNED), SCANNED[1]
     if best > 0:
-        squares, found = refined(shadow, squares, shown, best / shadow.top)
+        squares, found = heights.refined(squares, best / shadow.top, shown)
         shown, compared = found.shown, 0.0
-        best = search(shadow, squares, shown, (0.85 * best, best, 1.15 * best))
-    near, other = (fit(shadow, columns(shadow, squares, k / shadow.top), shown) for k in (best, compared))
+        best = search(heights, squares, shown, (0.85 * best, best, 1.15 * best))
+    near, other = (heights.best(squares, k / shadow.top, shown) for k in (best, compared))
     return Profile(best / shadow.top, squares, near, compared / shadow.top, other.error)
 
 
 def search(
-    shadow: Shadow, squares: Int[Tensor, "squares 4"], shown: Float[Tensor, " used"], scanned: tuple[float, ...]
+    heights: Heights, squares: Int[Tensor, "squares 4"], shown: Float[Tensor, " used"], scanned: tuple[float, ...]
 ) -> float:
     """Returns k times the object's height of least residual, looked for upwards until it rises, then by parabolas."""
 
     def error(scaled: float) -> float:
-        return fit(shadow, columns(shadow, squares, scaled / shadow.top), shown).error
+        return heights.best(squares, scaled / heights.shadow.top, shown).error
 
     known: dict[float, float] = {}
     for scaled in scanned:

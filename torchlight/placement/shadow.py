@@ -17,7 +17,6 @@ All occluders move as one. Everything is done on the mean of the channels.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -25,6 +24,7 @@ from torch import Tensor
 
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.adaptive import AdaptiveHaar
+from torchlight.placement.report import Placement
 from torchlight.shadow_fit import (
     Fit,
     Frame,
@@ -47,34 +47,6 @@ DAMPINGS = (0.0, 1.0, 10.0)  # of the mean eigenvalue of J'J, tried in turn unti
 SUFFICIENT = 0.25  # of what a step promises: less may be the luck of another choice of squares
 STILL = 0.1  # of a footprint: a smaller step, if it is also within its deviation, is not worth another light
 DOUBT = 4.0  # deviations that a movement must exceed to be believed; normal noise alone does once in 900 photographs
-
-
-@dataclass(frozen=True)
-class Placement:
-    """How far the object was moved, and how sure that is.
-
-    Attributes:
-        moved: in x and y, in the scene's unit.
-        turned_degrees: counter-clockwise from above.
-        deviation: standard deviations of these three; None where the shadow does not determine one to a sample.
-        rms_before: residual at the stated pose, of 255, of the channels' mean.
-        rms_after: where the object was left.
-        steps: Gauss-Newton steps taken.
-        verdict: what was decided and why, a clause.
-    """
-
-    moved: tuple[float, float]
-    turned_degrees: float
-    deviation: tuple[float | None, float | None, float | None]
-    rms_before: float
-    rms_after: float
-    steps: int
-    verdict: str
-
-    @property
-    def changed(self) -> bool:
-        """Whether the object is elsewhere than stated."""
-        return self.moved != (0.0, 0.0) or self.turned_degrees != 0.0
 
 
 def refine(scene: Scene, look: Look, settings: AdaptiveHaar | None = None) -> tuple[Scene, Placement]:
@@ -150,6 +122,7 @@ def decided(frame: Frame, first: Fit, last: Fit, normal: Normal, steps: int) -> 
     kept = last if believed else first
     x, y, turn = (kept.pose * frame.unit).tolist()
     placement = Placement(
+        by="shadow",
         moved=(x, y),
         turned_degrees=math.degrees(turn),
         deviation=(known[0], known[1], known[2]),
@@ -182,15 +155,3 @@ def verdict(believed: bool, normal: Normal, steps: int) -> str:
     if steps == MAX_STEPS and not at_rest(normal):
         return f"moved, and was not at rest after {MAX_STEPS} steps (check the scene file),"
     return "moved"
-
-
-def sentence(placement: Placement, units: str) -> str:
-    """Returns what became of the object, in one line."""
-    named = zip(("x", "y", "turn"), placement.deviation, (units, units, "degrees"), strict=True)
-    known = ", ".join(f"{name} +- {size:.2g} {unit}" for name, size, unit in named if size is not None)
-    x, y = placement.moved
-    what = (
-        f" by ({x:.4g}, {y:.4g}) {units}, turned by {placement.turned_degrees:.3g} degrees" if placement.changed else ""
-    )
-    rms = f"RMS {placement.rms_before:.2f} -> {placement.rms_after:.2f} of 255"
-    return "; ".join(part for part in (f"the object was {placement.verdict}{what}", known, rms) if part)
