@@ -4,15 +4,20 @@
 
 A block is photographed in two poses by Mitsuba, as scripts/rendered/probes.py sets it up: interreflection, a lacquered
 block, lens distortion, 8-bit sRGB, and noise of 1 % of each photograph's brightest sample. The second photograph has
-0.6 times the exposure of the first, which nobody is told. The light from each photograph alone and from both together
-relights two poses that neither shows. There it is held against two judges:
+0.6 times the exposure of the first, which nobody is told. The scenes state the block's albedo, so that what it throws
+back is taken away (`occluder_albedo`). The light from each photograph alone and from both together relights two poses
+that neither shows. There it is held against three judges:
 
-    rendered: the pose by Mitsuba too. Light that sheet and block throw on each other is in the photographs, so the
-        light that is found accounts for it, and the judge must show it. The judge's own grain does not count: of two
-        renderings with independent grain, mean((p - h1) (p - h2)) has the expectation mean((p - h)^2).
-    analytic: the exact shadow alone, so that thrown-back light counts as error.
+    rendered: a photograph of the pose by Mitsuba, without noise, what the block throws back taken away likewise. The
+        judge's own grain does not count: of two renderings with independent grain, mean((p - h1) (p - h2)) has the
+        expectation mean((p - h)^2).
+    exact: the exact shadow of a black block, on the samples that such a photograph shows.
+    everywhere: the same on all samples, also those that the block hides from the camera. Their shadows are cast by
+        light from the camera's side, of which no photograph shows much.
 
 Settings are those that `torchlight joint` and `torchlight estimate` have by default; nothing is chosen on these lights.
+`--gloss matt` and `--gloss none` render a block without lacquer, of the albedo that is stated, or a black one: what is
+different then is due to the direction in which lacquer throws light back, which `occluder_albedo` does not know.
 Renderings are kept in OUT/renderings and used again.
 """
 
@@ -25,6 +30,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import torch
 import tyro
@@ -32,7 +38,20 @@ from jaxtyping import Float
 from paper.measure import pose_columns, relit_by_squares
 from paper.setting import HELD_OUT, PHOTOGRAPHED, RECEIVER, used_samples
 from rendered.photograph import installed, stored
-from rendered.probes import ALBEDO, EXPOSED, NOISE, PROBES, light, rendering, scene
+from rendered.probes import (
+    ALBEDO,
+    BLACK,
+    EXPOSED,
+    LACQUERED,
+    MATT,
+    NOISE,
+    PROBES,
+    Finish,
+    Rendering,
+    light,
+    rendering,
+    scene,
+)
 from torch import Tensor
 
 from torchlight import metrics
@@ -54,10 +73,14 @@ EXPOSURES = (1.0, 0.6)
 SETTINGS = AdaptiveHaar()
 SEED = 0
 NAMES = ("first", "second", "both")
+FINISHES = {"lacquer": LACQUERED, "matt": MATT, "none": BLACK}
+Gloss = Literal["lacquer", "matt", "none"]
+JUDGED_BY = ("rendered", "exact", "everywhere")
 HEAD = (
     "RMS of 255 of the brightest sample, by the light of the first photograph, the second, and both\n\n"
-    "| light | pose | rendered: first | second | both | better | analytic: first | second | both | better |\n"
-    "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |"
+    "| light | pose | rendered: first | second | both | better | exact: first | second | both | better "
+    "| everywhere: first | second | both | better |\n"
+    f"| --- | --- {'| --- ' * 12}|"
 )
 
 
@@ -93,13 +116,38 @@ class Row:
         probe: the light.
         pose: that is relit.
         rendered: scores against Mitsuba's picture of it.
-        analytic: scores against the exact shadow alone.
+        exact: scores against the exact shadow, on the samples that the picture shows.
+        everywhere: the same on all samples.
     """
 
     probe: str
     pose: str
     rendered: Scores
-    analytic: Scores
+    exact: Scores
+    everywhere: Scores
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all lights share.
+
+    Attributes:
+        samples: light paths per pixel.
+        out: folder for renderings, photographs and table.
+        finish: of the block.
+    """
+
+    samples: int
+    out: Path
+    finish: Finish
+
+    def seen(self, block: Block) -> Scene:
+        """Returns what the estimate is told of a pose."""
+        return scene(block, self.finish.albedo)
+
+    def rendered(self, environment: EnvironmentMap, block: Block) -> Rendering:
+        """Returns Mitsuba's two pictures of a pose."""
+        return rendering(environment, block, self.samples, self.out / "renderings", self.finish)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +170,13 @@ class Lights:
         return [(self.alone[0], 1.0), (self.alone[1], first / second), (self.joint.estimate, 1.0)]
 
 
-def main(data: Path | None = None, out: Path = Path("out/joint"), samples: int = 160, probe: str = "") -> None:
+def main(
+    data: Path | None = None,
+    out: Path = Path("out/joint"),
+    samples: int = 160,
+    probe: str = "",
+    gloss: Gloss = "lacquer",
+) -> None:
     """Prints the table and writes it to OUT/joint.csv.
 
     Args:
@@ -130,6 +184,7 @@ def main(data: Path | None = None, out: Path = Path("out/joint"), samples: int =
         out: folder for renderings, photographs and table.
         samples: light paths per pixel.
         probe: one light, by the name of its file, instead of the five.
+        gloss: of the block.
     """
     folder = (data if data is not None else Path(os.environ.get("TORCHLIGHT_DATA", ""))) / "probes"
     if not folder.is_dir():
@@ -137,29 +192,26 @@ def main(data: Path | None = None, out: Path = Path("out/joint"), samples: int =
     if not installed():
         sys.exit("joint_gain: needs Mitsuba 3; pip install 'torchlight[mitsuba]'")
     out.mkdir(parents=True, exist_ok=True)
-    rows = []
+    setting, rows = Setting(samples, out, FINISHES[gloss]), []
     print(HEAD)
     for name in (probe,) if probe else PROBES:
         environment = light(folder / f"{name}.hdr")
-        found = lights(name, environment, samples, out)
+        found = lights(name, environment, setting)
         for pose in JUDGES:
-            rows.append(judged(name, pose, found, environment, samples, out))
+            rows.append(judged(name, pose, found, environment, setting))
             print(line(rows[-1]), flush=True)
-        scale = found.joint.scales.values[1].item()
-        deviation = found.joint.scales.deviations[1].item() * scale
-        true = found.exposures[1] / found.exposures[0]
-        print(f"    {name}: exposure found {scale:.4f} +- {deviation:.4f}, true {true:.4f}", file=sys.stderr)
+        print(f"    {name}: {told(found)}", file=sys.stderr)
     write_table(rows, out / "joint.csv")
     for pose in JUDGES:
         here = [row for row in rows if row.pose == pose]
-        counts = [sum(getattr(row, judge).better for row in here) for judge in ("rendered", "analytic")]
-        print(f"{pose}: both beat each alone on {counts[0]} of {len(here)} rendered, {counts[1]} analytic")
+        counts = ", ".join(f"{sum(getattr(row, judge).better for row in here)} {judge}" for judge in JUDGED_BY)
+        print(f"{pose}: of {len(here)} lights both together beat each alone on {counts}")
 
 
-def lights(name: str, environment: EnvironmentMap, samples: int, out: Path) -> Lights:
+def lights(name: str, environment: EnvironmentMap, setting: Setting) -> Lights:
     """Returns what each photograph alone and both together say."""
-    files, exposures = photographs(name, environment, samples, out)
-    scenes = [scene(block) for block in PAIR]
+    files, exposures = photographs(name, environment, setting)
+    scenes = [setting.seen(block) for block in PAIR]
     seen = [observed(file, here) for file, here in zip(files, scenes, strict=True)]
     transfers = [precompute(here, SETTINGS.dense_resolution) for here in scenes]
     alone = tuple(explained(one, here) for one, here in zip(seen, scenes, strict=True))
@@ -168,14 +220,21 @@ def lights(name: str, environment: EnvironmentMap, samples: int, out: Path) -> L
     return Lights(alone, joint, exposures)
 
 
-def photographs(
-    name: str, environment: EnvironmentMap, samples: int, out: Path
-) -> tuple[list[Path], tuple[float, ...]]:
-    """Returns the two photographs and their exposures, from radiance to stored linear values."""
-    pictures = [rendering(environment, block, samples, out / "renderings").radiance for block in PAIR]
+def told(found: Lights) -> str:
+    """Returns the exposure and the noise that were found, in a line."""
+    scales, true = found.joint.scales, found.exposures[1] / found.exposures[0]
+    scale = scales.values[1].item()
+    noise = " and ".join(f"{255 * one.noise.item():.2f}" for one in found.alone if one.noise is not None)
+    deviation = scales.deviations[1].item() * scale
+    return f"exposure found {scale:.4f} +- {deviation:.4f}, true {true:.4f}; noise of a sample {noise} of 255"
+
+
+def photographs(name: str, environment: EnvironmentMap, setting: Setting) -> tuple[list[Path], tuple[float, ...]]:
+    """Writes the two 8-bit photographs and returns them with the factors from radiance to their linear values."""
+    pictures = [setting.rendered(environment, block).radiance for block in PAIR]
     first = observe(linear_photo(pictures[0]), scene(PAIR[0]))
     unit = EXPOSED / metrics.brightest(first.samples, first.weights).item()
-    files = [out / f"{name}_{index + 1}.png" for index in range(len(PAIR))]
+    files = [setting.out / f"{name}_{index + 1}.png" for index in range(len(PAIR))]
     for index, (file, picture, factor) in enumerate(zip(files, pictures, EXPOSURES, strict=True)):
         write_png(file, stored(picture, unit * factor, NOISE * EXPOSED * factor, SEED + index))
     return files, tuple(unit * factor for factor in EXPOSURES)
@@ -191,17 +250,20 @@ def explained(observation: Observation, here: Scene) -> Estimate:
     return explain(observation, here, columns_for(here, SETTINGS.basis, SETTINGS), SETTINGS.basis, SETTINGS)
 
 
-def judged(name: str, pose: str, found: Lights, environment: EnvironmentMap, samples: int, out: Path) -> Row:
-    """Returns the scores of the three lights on a pose, by both judges."""
-    block = JUDGES[pose]
-    halves = observe(linear_photo(rendering(environment, block, samples, out / "renderings").halves), scene(block))
-    rendered = Observation(halves.samples * found.exposures[0], halves.weights)
-    used = used_samples(block)
-    exact = shadow_alone(environment, block, out / f"{name}_{pose.replace(' ', '_')}.pt") * ALBEDO * found.exposures[0]
+def judged(name: str, pose: str, found: Lights, environment: EnvironmentMap, setting: Setting) -> Row:
+    """Returns the scores of the three lights on a pose, by all judges."""
+    block, exposure = JUDGES[pose], found.exposures[0]
+    halves = observe(linear_photo(setting.rendered(environment, block).halves), setting.seen(block))
+    rendered = Observation(halves.samples * exposure, halves.weights)
+    seen, all_samples = halves.weights[0] > 0, used_samples(block)
+    exact = shadow_alone(environment, block, setting.out / f"{name}_{pose.replace(' ', '_')}.pt") * ALBEDO * exposure
     shown = [relit(estimate, block) * factor for estimate, factor in found.at_first_exposure()]
     by_picture = [rms_without_grain(one, rendered) for one in shown]
-    by_shadow = [metrics.rms_255(one, exact.to(one), used.to(one)).item() for one in shown]
-    return Row(name, pose, Scores(*by_picture), Scores(*by_shadow))
+    by_shadow = [
+        [metrics.rms_255(one, exact.to(one), used.to(one)).item() for one in shown]
+        for used in (seen & all_samples, all_samples)
+    ]
+    return Row(name, pose, Scores(*by_picture), Scores(*by_shadow[0]), Scores(*by_shadow[1]))
 
 
 def relit(estimate: Estimate, block: Block) -> Float[Tensor, "3 points"]:
@@ -239,7 +301,7 @@ def shadow_alone(environment: EnvironmentMap, block: Block, path: Path) -> Float
 
 def line(row: Row) -> str:
     """Returns a line of the table."""
-    judges = " | ".join(f"{scores} | {answer(scores)}" for scores in (row.rendered, row.analytic))
+    judges = " | ".join(f"{scores} | {answer(scores)}" for scores in (row.rendered, row.exact, row.everywhere))
     return f"| {row.probe} | {row.pose} | {judges} |"
 
 
@@ -252,8 +314,9 @@ def write_table(rows: Sequence[Row], path: Path) -> None:
     """Writes the scores as CSV."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["probe", "pose", *(f"{judge}_{name}" for judge in ("rendered", "analytic") for name in NAMES)])
-        writer.writerows((row.probe, row.pose, *astuple(row.rendered), *astuple(row.analytic)) for row in rows)
+        writer.writerow(["probe", "pose", *(f"{judge}_{name}" for judge in JUDGED_BY for name in NAMES)])
+        for row in rows:
+            writer.writerow((row.probe, row.pose, *(v for judge in JUDGED_BY for v in astuple(getattr(row, judge)))))
 
 
 if __name__ == "__main__":

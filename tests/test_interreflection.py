@@ -162,6 +162,6 @@ def test_observing_takes_away_what_a_stated_albedo_throws_back() -> None:
     pictures = seen.samples.reshape(2, 3, 24, 24).flip(2)
     photo = linear_photo(pictures)
     plain, stated = (observe(photo, replace(scene(), occluder_albedo=albedo)) for albedo in (0.0, 0.1))
-    expected = without(plain, thrown_back(plain, scene(), transport(scene(), 16, 4), 0.1))
+    expected = without(plain, thrown_back(plain, scene(), transport(scene(), 16, 12), 0.1))
     assert_close(stated.samples, expected.samples)
     assert (stated.samples < plain.samples)[:, :, used()].double().mean() > 0.5

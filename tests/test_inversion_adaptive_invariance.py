@@ -114,6 +114,25 @@ def test_a_batch_gives_what_each_photograph_gives_alone(
         assert_close(batch.irradiance[k, 0], alone.irradiance, rtol=1e-8, atol=0)
 
 
+def test_each_photograph_has_the_noise_measured_in_it() -> None:
+    """In a batch as alone, and as if it were stated; a stated noise goes before a measured one."""
+    shadow, shares = block_transfer(8), torch.tensor([0.002, 0.05, 0.01, 0.002, 0.03])
+    photos = photographs(shadow)
+    batch = solve_adaptive(shadow, photos, AdaptiveHaar(8, 45), shares)
+    assert_close(batch.noise, shares.to(photos.samples))
+    stated = solve_adaptive(shadow, photos, AdaptiveHaar(8, 45, noise=0.01), shares)
+    assert_close(stated.noise, torch.full((5,), 0.01, dtype=photos.samples.dtype))
+    for k in range(5):
+        alone = Observation(photos.samples[k], photos.weights[k])
+        told = solve_adaptive(shadow, alone, AdaptiveHaar(8, 45, noise=shares[k].item()))
+        assert torch.equal(batch.refinement.kept[k], told.refinement.kept)
+        assert torch.equal(batch.refinement.fate[k], told.refinement.fate)
+        assert_close(batch.irradiance[k], told.irradiance, rtol=1e-8, atol=0)
+    assert batch.refinement.functions[0].sum() > batch.refinement.functions[1].sum()
+    plain = solve_adaptive(shadow, photos, AdaptiveHaar(8, 45))
+    assert_close(plain.noise, torch.full((5,), 0.4 / 255, dtype=photos.samples.dtype))
+
+
 @pytest.mark.parametrize(
     ("rule", "resolution"), [(ProjectedGain(), 8), (ProjectedGain(shared=True), 8), (LevelByLevel(1e-3), 4)]
 )

@@ -1,11 +1,15 @@
 """Several photographs of one light, the object elsewhere in each, solved together.
 
-    v_i = s_i albedo_i / pi T_i L + noise of standard deviation n_i times the brightness of v_i
+    v_i = s_i albedo_i / pi (T_i L + noise of standard deviation n_i)
 
 for photograph i: its samples v_i, its scene's transport T_i, the light L >= 0 of all, and its exposure s_i, which is
-given or found, as n_i is (`inversion.scales`). Brought to one exposure, v_i / s_i, the samples of all photographs stand
-side by side like those of one receiver, with weights (min n / n_i)^2, and the light is found as from one photograph.
-`AdaptiveHaar.noise` is that of the photograph with the least.
+given or found (`inversion.scales`). Brought to one exposure, v_i / s_i, the samples of all photographs stand side by
+side like those of one receiver, with weights (min n / n_i)^2, and the light is found as from one photograph.
+
+For `AdaptiveHaar`, whose light is as fine as the photographs tell, n_i is measured in each (or stated), and min n is
+the noise of a sample of weight 1; where one photograph is explained much worse than another, the light is found once
+more without trusting it as much (`inversion.trust`). For a light of given fineness n_i is the residual of the solve
+that finds the exposures, relative to the brightness of v_i: what such a light cannot show counts as noise.
 
 The light is in units of the exposures that are given; where none is, in those of the first photograph. Where albedo is
 unknown, s_i is exposure x albedo.
@@ -29,11 +33,13 @@ from torchlight.inversion.adaptive import AdaptiveHaar
 from torchlight.inversion.nodes import NodeColumns
 from torchlight.inversion.robust import robust_weights
 from torchlight.inversion.scales import Scales, find_scales
+from torchlight.inversion.trust import distrusted, own_noise, weighted_by
 from torchlight.light.bases import Basis
 from torchlight.light.synthesis import synthesize
 from torchlight.observing import observe
+from torchlight.photo.noise import brightest_used
 from torchlight.photo.observation import LinearPhoto, Observation, linear_photo
-from torchlight.pipeline import ROBUST_ROUNDS, Estimate, find_light, find_peaks, resolve_method
+from torchlight.pipeline import ROBUST_ROUNDS, Estimate, FoundLight, find_light, find_peaks, resolve_method
 from torchlight.precomputation import Columns, precompute
 from torchlight.relighting import albedo_over_pi
 from torchlight.solvers import Solver
@@ -80,12 +86,14 @@ class JointEstimate:
         views: the photographs; their weights are those of the solve.
         scales: the exposure of each.
         predicted: what each shows under the light, at its own exposure.
+        trust: weight of each photograph's samples, 1 for the one that counts most.
     """
 
     estimate: Estimate
     views: tuple[View, ...]
     scales: Scales
     predicted: tuple[Float[Tensor, "3 _"], ...]
+    trust: Float[Tensor, " photos"]
 
     @property
     def rms_255(self) -> Float[Tensor, " photos"]:
@@ -139,7 +147,7 @@ def side_by_side(scenes: Sequence[Scene], transfers: Sequence[Transfer], solver:
         parts = zip(scenes, contours, strict=True)
         return torch.cat([square_columns(scene, squares, cells, edges) for scene, edges in parts], dim=1)
 
-    return Poses(tuple(transfers), NodeColumns(dense, solver.max_resolution, cast))
+    return Poses(tuple(transfers), NodeColumns(dense.to("cpu"), solver.max_resolution, cast))
 
 
 def explain_together(views: Sequence[View], poses: Poses, basis: Basis, solver: Solver | AdaptiveHaar) -> JointEstimate:
@@ -154,16 +162,16 @@ def explain_together(views: Sequence[View], poses: Poses, basis: Basis, solver: 
     factors = [albedo_over_pi(view.scene.receiver, view.observation.samples) for view in views]
     scales = exposures(views, poses, factors)
     received = at_one_exposure(views, scales, factors)
-    found = find_light(poses.columns, basis, stacked(received), solver)
-    shown = found.irradiance.split([view.scene.receiver.points for view in views], dim=-1)
-    seen = [replace(part, samples=part.samples * factor) for part, factor in zip(received, factors, strict=True)]
-    predicted = [part.to(factor) * factor for part, factor in zip(shown, factors, strict=True)]
-    light = synthesize(basis, found.solution.coefficients)
+    found, noise = found_together(views, poses, basis, received, solver, scales)
+    kept = weighted_by(received, noise)
+    seen = [replace(part, samples=part.samples * factor) for part, factor in zip(kept, factors, strict=True)]
+    predicted = [part.to(factor) * factor for part, factor in zip(split(found.irradiance, views), factors, strict=True)]
+    light = replace(synthesize(basis, found.solution.coefficients), plane=views[0].scene.light_plane)
     peaks = find_peaks(basis, found.solution, light)
     together = torch.cat(predicted, dim=-1)
-    estimate = Estimate(light, found.solution, basis, stacked(seen), together, peaks, found.refinement)
+    estimate = Estimate(light, found.solution, basis, stacked(seen), together, peaks, found.refinement, found.noise)
     own = tuple(part * scale.to(part) for part, scale in zip(predicted, scales.values, strict=True))
-    return JointEstimate(estimate, tuple(views), scales, own)
+    return JointEstimate(estimate, tuple(views), scales, own, (noise.min() / noise) ** 2)
 
 
 def exposures(views: Sequence[View], poses: Poses, factors: Sequence[Float[Tensor, "3 1"]]) -> Scales:
@@ -179,13 +187,36 @@ def exposures(views: Sequence[View], poses: Poses, factors: Sequence[Float[Tenso
 def at_one_exposure(
     views: Sequence[View], scales: Scales, factors: Sequence[Float[Tensor, "3 1"]]
 ) -> list[Observation]:
-    """Returns irradiance samples of all photographs at exposure 1, with weights relative to the least noise of all."""
-    trust = (scales.noise.min() / scales.noise) ** 2
-    parts = zip((view.observation for view in views), scales.values, trust, factors, strict=True)
-    return [
-        replace(seen, samples=seen.samples / (factor * scale.to(factor)), weights=seen.weights * share.to(factor))
-        for seen, scale, share, factor in parts
-    ]
+    """Returns irradiance samples of all photographs at exposure 1."""
+    parts = zip((view.observation for view in views), scales.values, factors, strict=True)
+    return [replace(seen, samples=seen.samples / (factor * scale.to(factor))) for seen, scale, factor in parts]
+
+
+def found_together(
+    views: Sequence[View],
+    poses: Poses,
+    basis: Basis,
+    received: Sequence[Observation],
+    solver: Solver | AdaptiveHaar,
+    scales: Scales,
+) -> tuple[FoundLight, Float[Tensor, " photos"]]:
+    """Returns the light of irradiance samples at exposure 1, and the noise that weighs the photographs."""
+    if not isinstance(solver, AdaptiveHaar):
+        return find_light(poses.columns, basis, stacked(weighted_by(received, scales.noise)), solver), scales.noise
+
+    def under(noise: Float[Tensor, " photos"]) -> FoundLight:
+        together = stacked(weighted_by(received, noise))
+        return find_light(poses.columns, basis, together, solver, noise.min() / brightest_used(together))
+
+    noise = own_noise(received, [view.scene.receiver.samples for view in views], solver.noise)
+    found = under(noise)
+    trusted = distrusted(noise, received, split(found.irradiance, views))
+    return (found, noise) if torch.equal(trusted, noise) else (under(trusted), trusted)
+
+
+def split(values: Float[Tensor, "3 points"], views: Sequence[View]) -> tuple[Float[Tensor, "3 _"], ...]:
+    """Returns the values of all samples side by side, photograph by photograph."""
+    return values.split([view.scene.receiver.points for view in views], dim=-1)
 
 
 def stacked(observations: Sequence[Observation]) -> Observation:
@@ -220,6 +251,10 @@ def check_views(views: Sequence[View]) -> None:
     units = sorted({view.scene.units for view in views})
     if len(units) > 1:
         raise SceneError(f"the scenes' lengths are in different units, {' and '.join(units)}; write all in one")
+    if len({view.scene.light_plane for view in views}) > 1:
+        raise SceneError(
+            "the scenes' light does not stand in one place; write the same light.height and light.center in all"
+        )
     for index, view in enumerate(views):
         if view.scale is not None and not 0 < view.scale < float("inf"):
             raise ConfigError(f"photograph {index + 1}: its exposure must be a positive number, got {view.scale}")

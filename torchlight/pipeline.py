@@ -27,6 +27,7 @@ from torchlight.light.environment import EnvironmentMap
 from torchlight.light.peaks import Peaks, environment_peaks, texel_peaks
 from torchlight.light.synthesis import synthesize
 from torchlight.observing import observe
+from torchlight.photo.noise import noise_share
 from torchlight.photo.observation import LinearPhoto, Observation, linear_photo
 from torchlight.precomputation import Columns, columns_for, fitting
 from torchlight.relighting import albedo_over_pi, irradiance
@@ -48,6 +49,7 @@ class Estimate:
         predicted: what the receiver shows under the light, same units as the observation.
         peaks: directions of the strongest sources.
         refinement: functions in use and why no others, of the adaptive method; else None.
+        noise: of a sample, as a share of the brightest, that the adaptive method was told or measured; else None.
     """
 
     light: EnvironmentMap
@@ -57,6 +59,7 @@ class Estimate:
     predicted: Float[Tensor, "*batch 3 points"]
     peaks: Peaks
     refinement: Refinement | None = None
+    noise: Float[Tensor, "*batch"] | None = None
 
     @property
     def rms_255(self) -> Float[Tensor, "*batch"]:
@@ -72,11 +75,13 @@ class FoundLight:
         solution: coefficients and certificates.
         irradiance: E of every sample under that light.
         refinement: functions in use and why no others, of the adaptive method; else None.
+        noise: of a sample, as a share of the brightest, that the adaptive method was told or measured; else None.
     """
 
     solution: Solution
     irradiance: Float[Tensor, "*batch 3 points"]
     refinement: Refinement | None = None
+    noise: Float[Tensor, "*batch"] | None = None
 
 
 def estimate(
@@ -127,11 +132,12 @@ def explain(
     transfer = fitting(scene, transfer, solver, observation.samples.device)
     factor = albedo_over_pi(scene.receiver, observation.samples)
     received = replace(observation, samples=observation.samples / factor)
-    found = find_light(transfer, basis, received, solver)
-    light = synthesize(basis, found.solution.coefficients)
+    noise = noise_share(received, scene.receiver.samples)
+    found = find_light(transfer, basis, received, solver, noise)
+    light = replace(synthesize(basis, found.solution.coefficients), plane=scene.light_plane)
     peaks = find_peaks(basis, found.solution, light)
     predicted = factor * found.irradiance.to(factor)
-    return Estimate(light, found.solution, basis, observation, predicted, peaks, found.refinement)
+    return Estimate(light, found.solution, basis, observation, predicted, peaks, found.refinement, found.noise)
 
 
 def explain_robustly(
@@ -145,16 +151,29 @@ def explain_robustly(
     return estimate
 
 
-def find_light(transfer: Columns, basis: Basis, observation: Observation, solver: Solver | AdaptiveHaar) -> FoundLight:
+def find_light(
+    transfer: Columns,
+    basis: Basis,
+    observation: Observation,
+    solver: Solver | AdaptiveHaar,
+    noise: Float[Tensor, "*batch"] | None = None,
+) -> FoundLight:
     """Returns the coefficients of the light, what the receiver shows under it, and what the adaptive method decided.
+
+    Args:
+        transfer: of the scene.
+        basis: what light is made of.
+        observation: irradiance samples.
+        solver: how the light is found.
+        noise: of each photograph's samples, as measured (`noise_share`), for `AdaptiveHaar` where it states none.
 
     Raises:
         ConfigError: the basis is not that of the adaptive method, or the columns are for another method.
     """
     if isinstance(solver, AdaptiveHaar):
         resolve_method(basis, solver)
-        found = solve_adaptive(transfer, observation, solver)
-        return FoundLight(found.solution, found.irradiance, found.refinement)
+        found = solve_adaptive(transfer, observation, solver, noise)
+        return FoundLight(found.solution, found.irradiance, found.refinement, found.noise)
     if not isinstance(transfer, Transfer):
         raise ConfigError(f"{type(solver).__name__} needs a dense transport; make it with precompute")
     solution = solve_light(transfer, basis, observation, solver)

@@ -22,7 +22,7 @@ from torchlight.io.images import read_photo
 from torchlight.light.bases import SphericalHarmonics, Texels
 from torchlight.light.environment import EnvironmentMap
 from torchlight.observing import linearize, observe
-from torchlight.photo.noise import sample_noise
+from torchlight.photo.noise import LEAST_NOISE, noise_share
 from torchlight.photo.observation import Observation
 from torchlight.pipeline import Estimate, columns_for, explain, explain_robustly
 from torchlight.precomputation import precompute
@@ -66,7 +66,7 @@ class Shown:
     Attributes:
         photo: as photographed.
         thrown: what the block throws back, as found: a share of the samples.
-        noise: standard deviation of a sample, of the brightest.
+        noise: standard deviation of a sample, of the brightest, as measured.
     """
 
     photo: Observation
@@ -79,33 +79,26 @@ def shown(taken: Taken) -> Shown:
     here = scene(PHOTOGRAPHED)
     photo = observe(linearize(read_photo(taken.path), here), here)
     thrown = thrown_back(photo, here, precompute(here, 16), BLOCK_ALBEDO)
-    deviation = sample_noise(photo, RECEIVER.samples).square().mean(dim=-1).sqrt()
-    return Shown(photo, thrown, (deviation / metrics.brightest(photo.samples, photo.weights)).item())
-
-
-def adaptive_for(noise: float) -> AdaptiveHaar:
-    """Returns the default settings for a measured noise; theirs is the least, that of rounding and of the model."""
-    settings = AdaptiveHaar()
-    return replace(settings, noise=max(settings.noise, noise))
+    return Shown(photo, thrown, noise_share(photo, RECEIVER.samples).item())
 
 
 Way = Callable[[Shown, Bench], Estimate]
 
 
 def _adaptive(seen: Shown, bench: Bench) -> Estimate:
-    settings = adaptive_for(seen.noise)
+    settings = AdaptiveHaar()
     rest = without(seen.photo, seen.thrown)
     return explain(rest, scene(PHOTOGRAPHED), bench.columns, settings.basis, settings)
 
 
 def _adaptive_robust(seen: Shown, bench: Bench) -> Estimate:
-    settings = adaptive_for(seen.noise)
+    settings = AdaptiveHaar()
     rest = without(seen.photo, seen.thrown)
     return explain_robustly(rest, scene(PHOTOGRAPHED), bench.columns, settings.basis, settings)
 
 
 def _plain_adaptive(seen: Shown, bench: Bench) -> Estimate:
-    settings = AdaptiveHaar()
+    settings = AdaptiveHaar(noise=LEAST_NOISE)
     return explain(seen.photo, scene(PHOTOGRAPHED), bench.columns, settings.basis, settings)
 
 

@@ -29,7 +29,7 @@ from torchlight.observing import observe
 from torchlight.photo.observation import linear_photo
 from torchlight.synthetic import block_scene
 
-from .objects import distant, matt, plane, satin, standing
+from .objects import Shape, distant, matt, plane, satin, standing
 from .photograph import photograph, stored
 
 # The paper's three, an open sky, and a studio of soft boxes: indoors and outdoors, small and large sources.
@@ -47,6 +47,26 @@ SEED = 5
 VERSION = "rendered-1"  # in the key of stored pictures: raise it when they change
 
 
+@dataclass(frozen=True, eq=False)
+class Finish:
+    """What the block is made of.
+
+    Attributes:
+        name: in the key of stored pictures; empty for the usual one.
+        surface: of Mitsuba's block.
+        albedo: that scene files state.
+    """
+
+    name: str
+    surface: Shape
+    albedo: float
+
+
+LACQUERED = Finish("", satin(EBONY), BLOCK_ALBEDO)
+MATT = Finish(" matt", matt(BLOCK_ALBEDO), BLOCK_ALBEDO)
+BLACK = Finish(" black", matt(0.0), 0.0)
+
+
 def camera() -> Camera:
     """Returns a camera 7 units away, 45 degrees above the sheet, with a barrel lens."""
     height = 5.0
@@ -58,9 +78,10 @@ def camera() -> Camera:
     return Camera(lens, pose, (400, 300), torch.tensor([-0.12, 0.06, 0.0015, -0.001, -0.01], dtype=torch.float64))
 
 
-def scene(block: Block) -> Scene:
-    """Returns what the estimate is told: the block's shape and place, the camera, and the file's encoding."""
-    return Scene(block_scene(block, RECEIVER).triangles, RECEIVER, camera(), encoding="srgb")
+def scene(block: Block, albedo: float = 0.0) -> Scene:
+    """Returns what the estimate is told: the block's shape, place and albedo, the camera, and the file's encoding."""
+    triangles = block_scene(block, RECEIVER).triangles
+    return Scene(triangles, RECEIVER, camera(), encoding="srgb", occluder_albedo=albedo)
 
 
 def light(path: Path) -> EnvironmentMap:
@@ -86,7 +107,9 @@ class Rendering:
         return self.halves.mean(dim=0)
 
 
-def rendering(environment: EnvironmentMap, block: Block, samples: int, folder: Path) -> Rendering:
+def rendering(
+    environment: EnvironmentMap, block: Block, samples: int, folder: Path, finish: Finish = LACQUERED
+) -> Rendering:
     """Returns the photograph in linear radiance, from its file in `folder` or rendered and stored there.
 
     Args:
@@ -94,13 +117,16 @@ def rendering(environment: EnvironmentMap, block: Block, samples: int, folder: P
         block: the pose.
         samples: light paths per pixel, in both halves together.
         folder: for the renderings.
+        finish: of the block.
     """
-    setting = f"{VERSION} {samples} {block} {SHEET} {ALBEDO} {EBONY} {camera().intrinsics} {camera().distortion}"
+    setting = (
+        f"{VERSION} {samples} {block} {SHEET} {ALBEDO} {EBONY} {camera().intrinsics} {camera().distortion}{finish.name}"
+    )
     path = folder / f"{content_key({'radiance': environment.radiance, 'setting': setting})}.npz"
     if not path.exists():
         objects = {
             "sheet": plane((0.0, 0.0), (SHEET, SHEET), matt(ALBEDO)),
-            "block": standing(block, satin(EBONY)),
+            "block": standing(block, finish.surface),
             "light": distant(environment),
         }
         halves = [photograph(objects, camera(), samples // 2, seed=seed).float().numpy() for seed in (1, 2)]

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import torch
 
+from torchlight import config, doubts
 from torchlight.analysis.added import Added, Determined, added
 from torchlight.analysis.sampling import random_rotations
+from torchlight.batch.ending import unusable_channels
 from torchlight.cli import arguments, fail
-from torchlight.cli.doubts import warn_of_rejections, warn_of_tone_mapping
-from torchlight.cli.estimate import named_device, named_method, unusable_channels
 from torchlight.cli.progress import progress_bar
+from torchlight.config import Config
 from torchlight.errors import ConfigError, FormatError, SolveError, TorchlightError
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.adaptive import AdaptiveHaar
@@ -35,6 +36,7 @@ from torchlight.joint import (
     side_by_side,
 )
 from torchlight.light.bases import Basis
+from torchlight.method import named_device, named_method
 from torchlight.observing import check_lit, empty_plane, linearize, observe, placed, visible_part
 from torchlight.photo.observation import Observation
 from torchlight.precomputation import precompute, transport_key
@@ -70,7 +72,7 @@ def run(command: arguments.Joint) -> int:
         TorchlightError: something is wrong with the call, a file or a photograph; it is named, and nothing is written.
     """
     check_place(command)
-    basis, solver = named_method(as_estimate(command))
+    basis, solver = named_method(as_config(command))
     device = named_device(command.device)
     pictured = read_views(command.views)
     photos = [item.photo for item in pictured]
@@ -98,18 +100,16 @@ def check_place(command: arguments.Joint) -> None:
         raise FormatError(f"{command.out}: not a joint result, so --overwrite leaves it; choose another --out")
 
 
-def as_estimate(command: arguments.Joint) -> arguments.Estimate:
+def as_config(command: arguments.Joint) -> Config:
     """Returns the method's options as those of `torchlight estimate`."""
-    return arguments.Estimate(
-        scene=command.views,
-        photos=(),
-        out=command.out,
-        method=command.method,
-        resolution=command.resolution,
-        degree=command.degree,
-        functions=command.functions,
-        noise=command.noise,
-    )
+    light = config.Light(command.method, command.resolution, command.degree)
+    return Config(light, config.Adaptive(command.functions, noise=command.noise))
+
+
+def warn(photo: Path, doubt: str) -> None:
+    """Says in one line what is doubtful about a photograph, if anything is."""
+    if doubt:
+        fail(f"warning: {photo}: {doubt}")
 
 
 def read_view(pictured: Pictured, photos: Sequence[Path], device: torch.device) -> Read:
@@ -122,7 +122,7 @@ def read_view(pictured: Pictured, photos: Sequence[Path], device: torch.device) 
         empty = empty_plane(here, visible, photos)
         observation = observe(linearize(stored, here), here, visible, empty)
         check_lit(observation)
-        warn_of_tone_mapping(pictured.photo, stored, observation, here)
+        warn(pictured.photo, doubts.tone_mapped(stored, observation, here))
     except TorchlightError as error:
         named = str(pictured.photo) in str(error) or str(pictured.scene) in str(error)
         raise error if named else type(error)(f"{pictured.photo}: {error}") from error
@@ -221,7 +221,7 @@ def report(command: arguments.Joint, origins: Sequence[Source], joint: JointEsti
         if deviation > DOUBTFUL:
             fail(f"warning: {origin.photo}: its exposure is uncertain by {deviation:.0%}; better state it")
         own = replace(joint.estimate, observation=joint.views[index].observation, predicted=joint.predicted[index])
-        warn_of_rejections(origin.photo, own)
+        warn(origin.photo, doubts.rejections(own))
     if not joint.scales.converged:
         fail(f"warning: the exposures had not settled after {joint.scales.rounds} solves")
     bandwidth = told.telling_bandwidth()

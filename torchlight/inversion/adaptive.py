@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchlight.devices import moved
 from torchlight.errors import ConfigError, ShapeError
 from torchlight.inversion.gain import ProjectedGain
 from torchlight.inversion.level_by_level import LevelByLevel
@@ -17,6 +18,7 @@ from torchlight.inversion.nodes import DENSE_RESOLUTION, NodeColumns, WeightedNo
 from torchlight.inversion.outcome import TOLERANCE, Group, Outcome
 from torchlight.inversion.refinement import Bounds, Fate, Refinement
 from torchlight.light.bases import HaarCubemap
+from torchlight.photo.noise import LEAST_NOISE
 from torchlight.photo.observation import Observation
 from torchlight.solvers import LeastSquares, Solution, Status
 from torchlight.solvers.system import assemble, binary_scale, by_weights, initial_status, photo_weights
@@ -58,7 +60,8 @@ class AdaptiveHaar:
     Attributes:
         max_resolution: texels along a cube edge at the finest level, a power of two up to 512.
         budget: most functions: nine constants and the wavelets kept.
-        noise: standard deviation of a sample's noise, as a share of the photograph's brightest sample.
+        noise: standard deviation of a sample's noise, as a share of the photograph's brightest sample; None = as
+            measured for each photograph.
         rule: which functions are used: `ProjectedGain` or `LevelByLevel`.
         condition_limit: kappa: a trio joins if changing it by kappa times the radiance there moves the photograph by
             at least one sigma in a way that no other function in use can.
@@ -66,7 +69,7 @@ class AdaptiveHaar:
 
     max_resolution: int = 128
     budget: int = 450
-    noise: float = 0.4 / 255
+    noise: float | None = None
     rule: Rule = ProjectedGain()  # noqa: RUF009  (frozen settings)
     condition_limit: float = 10.0
 
@@ -79,7 +82,7 @@ class AdaptiveHaar:
             )
         if self.budget < CONSTANTS:
             raise ConfigError(f"AdaptiveHaar.budget: expected at least {CONSTANTS} functions, got {self.budget}")
-        if not 0.0 < self.noise < 1.0:
+        if self.noise is not None and not 0.0 < self.noise < 1.0:
             raise ConfigError(f"AdaptiveHaar.noise: expected a number in (0, 1), got {self.noise}; 8 bits: 0.0016")
         if not self.condition_limit > 0.0:
             raise ConfigError(f"AdaptiveHaar.condition_limit: expected a positive number, got {self.condition_limit}")
@@ -104,26 +107,35 @@ class AdaptiveSolution:
             program of the functions in use: S c >= 0.
         irradiance: E of every sample under the light.
         refinement: functions in use, fates of supports.
+        noise: of a sample, as a share of the photograph's brightest, as stated or measured.
     """
 
     solution: Solution
     irradiance: Float[Tensor, "*batch channels points"]
     refinement: Refinement
+    noise: Float[Tensor, "*batch"]
 
 
+@torch.no_grad()
 def solve_adaptive(
-    columns: Transfer | NodeColumns, observation: Observation, settings: AdaptiveHaar
+    columns: Transfer | NodeColumns,
+    observation: Observation,
+    settings: AdaptiveHaar,
+    measured: Float[Tensor, "*batch"] | None = None,
 ) -> AdaptiveSolution:
     """Returns light in few Haar functions for every photograph and channel; a failed item is a status.
 
     kkt_residual of an item: with A and b weighted, v >= 0 the radiance on the leaves of its tree, D v = 0 the wavelets
     left out, l their multipliers and w = A'(b - A v) - D'l, the largest of max_j w_j / (|a_j| |b|),
     max_j -v_j |a_j| / |b|, sum_j |v_j w_j| / |b|^2 and the largest |D v|, scaled to the other three.
+    No gradient passes: which functions are used is a choice. `linear.solve` on those that were kept has gradients.
 
     Args:
-        columns: of the scene. A `Transfer` must be as fine as max_resolution; `NodeColumns` cast what they lack.
+        columns: of the scene. A `Transfer` must be as fine as max_resolution; `NodeColumns` cast what they lack. The
+            work is done where they are; samples are brought there, and the answer back, once.
         observation: irradiance samples and weights.
         settings: how to refine.
+        measured: noise of each photograph (`photo.noise.noise_share`), where the settings state none; None = 0.4 / 255.
 
     Raises:
         ShapeError: the columns have another resolution than the settings.
@@ -134,12 +146,14 @@ def solve_adaptive(
             f"adaptive: max_resolution is {settings.max_resolution}, the columns' {nodes.tree.resolution}; "
             "make them for these settings"
         )
+    home, observation = observation.samples.device, moved(observation, nodes.dense.device)
     one_column = nodes.dense[:1].T.to(observation.samples.dtype)
     problem = LeastSquares(one_column, observation.samples, observation.weights.to(one_column))
     weights = photo_weights(problem)
     samples = observation.samples.reshape(-1, *observation.samples.shape[-2:]).to(torch.float64)
     samples = torch.where(weights[:, None, :] > 0, samples, 0.0)
     status = initial_status(samples, weights)
+    noise = shares_of_noise(settings, observation, measured).to(samples)
     outcome = unsolved(nodes, status)
     for photos in blocks_of_photos(nodes, weights, status):
         root = weights[photos[0]].sqrt()
@@ -147,14 +161,24 @@ def solve_adaptive(
         targets = torch.where(solvable[..., None], samples[photos], 0.0)
         scale = binary_scale(targets.flatten(start_dim=1))
         brightest = targets.abs().amax(dim=(1, 2)) / scale[:, 0]
-        sigmas = torch.where(brightest > 0, settings.noise * brightest, 1.0)
+        sigmas = torch.where(brightest > 0, noise[photos] * brightest, 1.0)
         group = Group(WeightedNodes(nodes, root), targets / scale[..., None] * root, sigmas)
         found = settings.rule.refine(group, Bounds(settings.budget, settings.condition_limit))
         put(outcome, photos, solvable, scaled(found, scale[..., None]))
     converged = outcome.figures[..., 1] <= TOLERANCE
     solved = status == Status.CONVERGED
     status = torch.where(solved & ~converged, int(Status.STOPPED_SHORT), status)
-    return assembled(outcome, observation.samples, status)
+    return moved(assembled(outcome, observation.samples, status, noise), home)
+
+
+def shares_of_noise(
+    settings: AdaptiveHaar, observation: Observation, measured: Float[Tensor, "*batch"] | None
+) -> Float[Tensor, " photos"]:
+    """Returns each photograph's noise, of its brightest sample: as stated, else as measured, else 0.4 / 255."""
+    if settings.noise is None and measured is not None:
+        return measured.reshape(-1)
+    stated = LEAST_NOISE if settings.noise is None else settings.noise
+    return torch.full_like(observation.weights[..., 0], stated, dtype=torch.float64).reshape(-1)
 
 
 def blocks_of_photos(
@@ -197,7 +221,10 @@ def put(whole: Outcome, photos: Int[Tensor, " block"], solvable: Bool[Tensor, "b
 
 
 def assembled(
-    outcome: Outcome, samples: Float[Tensor, "*batch channels points"], status: Int[Tensor, "photos channels"]
+    outcome: Outcome,
+    samples: Float[Tensor, "*batch channels points"],
+    status: Int[Tensor, "photos channels"],
+    noise: Float[Tensor, " photos"],
 ) -> AdaptiveSolution:
     """Returns the outcome in the shape and dtype of the samples."""
     items = samples.shape[:-1]
@@ -210,4 +237,5 @@ def assembled(
             fate=outcome.fate.reshape(*items, -1),
             regions=outcome.regions.reshape(items),
         ),
+        noise=noise.to(samples).reshape(items[:-1]),
     )

@@ -10,7 +10,8 @@ from torch import Tensor
 from torchlight.errors import ConfigError
 from torchlight.light.bases import Basis, HaarCubemap, Texels
 from torchlight.photo.observation import Observation
-from torchlight.solvers import NNLS, LeastSquares, NonnegativeSynthesis, ProjectedAdam, Ridge, Solution, Solver
+from torchlight.solvers import NNLS, NonnegativeSynthesis, ProjectedAdam, Ridge, Solution, Solver
+from torchlight.solvers.implicit import solve_differentiably
 from torchlight.transfer import Transfer
 
 
@@ -22,14 +23,27 @@ def solve(
 ) -> Solution:
     """Returns the coefficients that explain an observation: argmin |W^(1/2) (A x - b)|^2 / 2 under the solver's signs.
 
+    The coefficients have first derivatives with respect to A, b and W. With g the gradient of a loss by x, P the
+    columns with x_j > 0, H = A_P'W A_P + the solver's damping and u = H^-1 g_P:
+
+        dL/db = W A_P u,    dL/dW_i = (A_P u)_i (b - A x)_i,    dL/dA = W ((b - A x) u' - (A_P u) x')
+
+    plus what the damping contributes (`solvers.implicit_faces`). Exact where H is regular and P stays the same nearby
+    (strict complementarity); elsewhere finite, of smallest norm. 0 for samples of weight 0 and for failed items.
+    Works under `torch.func.vmap` and `grad`, and in `torch.compile(fullgraph=True)`.
+
     Args:
         matrix: A, the transport of the unknowns.
         observation: b and W, any batch axes, all channels at once.
         solver: settings that say which constraint and which algorithm.
-        synthesis: S where the constraint is S x >= 0.
+        synthesis: S where the constraint is S x >= 0; it has no gradient.
+
+    Raises:
+        ShapeError: shapes disagree, or matrix, weights or synthesis hold forbidden values.
+        SolveError: on the way back, where a second derivative is asked for.
     """
     samples = observation.samples.to(matrix)
-    return solver.solve(LeastSquares(matrix, samples, observation.weights.to(matrix), synthesis))
+    return solve_differentiably(matrix, samples, observation.weights.to(matrix), synthesis, solver)
 
 
 def solve_light(transfer: Transfer, basis: Basis, observation: Observation, solver: Solver) -> Solution:

@@ -144,6 +144,8 @@ def photograph(joint: JointEstimate, source: Source, index: int) -> dict[str, An
         "exposure_from": source.exposure_from,
         "exif": recorded(source.exif),
         "reference": view.scene.reference,
+        "occluder_albedo": view.scene.occluder_albedo,
+        "weight": number(joint.trust[index]),
         "rms_255": number(joint.rms_255[index]),
         "rms_relative": number(metrics.rms_relative(shown, seen.samples, seen.weights)),
         **visibility(seen),
