@@ -8,7 +8,8 @@ import torch
 from scipy.optimize import nnls
 
 from torchlight.solvers import NNLS, LeastSquares, batch, shared_gram
-from torchlight.solvers.active_set import Limits
+from torchlight.solvers.active_set import Limits, minimize_nonnegative
+from torchlight.solvers.filling import filling_of
 from torchlight.solvers.modulus import Modulus, modulus_of
 from torchlight.solvers.shared_gram import SharedGram, gram_under, unit_gram, weighted_gram
 from torchlight.solvers.system import System, same_rows
@@ -93,7 +94,7 @@ def test_readable_twin_gives_the_same_objective(monkeypatch):
     compiled = NNLS().solve(problem)
 
     def twin(unit, linear, start, ridge, limits):
-        found = [batch.minimize_nonnegative(unit.gram, c, x, ridge, limits) for c, x in zip(linear, start, strict=True)]
+        found = [minimize_nonnegative(unit.gram, c, x, ridge, limits) for c, x in zip(linear, start, strict=True)]
         return torch.stack([x for x, _ in found]), torch.tensor([steps for _, steps in found])
 
     monkeypatch.setattr(batch, "minimize", twin)
@@ -124,7 +125,8 @@ def test_rough_minimizers_have_almost_the_true_support():
         torch.testing.assert_close(z, torch.from_numpy(found[0]), rtol=0, atol=1e-2)
 
 
-def test_damped_solve_fills_in_what_a_photograph_lacks(monkeypatch):
+@pytest.mark.parametrize("samples", ["shared", "afresh"])
+def test_damped_solve_fills_in_what_a_photograph_lacks(samples, monkeypatch):
     """Without noise the filled-in right-hand side is that of the whole photograph."""
     g = torch.Generator().manual_seed(4)
     columns = torch.nn.functional.normalize(torch.rand(POINTS, 6, generator=g, dtype=torch.float64), dim=0)
@@ -144,11 +146,30 @@ def test_damped_solve_fills_in_what_a_photograph_lacks(monkeypatch):
         return right
 
     monkeypatch.setattr(Modulus, "minimizers", spy)
-    whole = batch.Batch(system, shared, unit, modulus_of(unit.gram), linear, 0.0, Limits(1e-11, 10))
+    guess = modulus_of(unit.gram)
+    filling = filling_of(columns * unit.inverse, guess, batch.DAMPING) if samples == "shared" else None
+    whole = batch.Batch(system, shared, unit, guess, filling, linear, 0.0, Limits(1e-11, 10))
     groups = [torch.tensor([0]), torch.tensor([1])]
-    batch.guessed(whole, groups, [shared.gram, gram_under(shared, weights[1])])
+    monkeypatch.setattr(batch, "MOST_LACKING", 30 / 6)
+    batch.guessed(whole, groups, [unit, unit_gram(gram_under(shared, weights[1]))])
     torch.testing.assert_close(seen[0][1], seen[0][0], rtol=0, atol=2e-3)  # the damping, 1e-5, of small eigenvalues
     assert (linear[1] - linear[0]).abs().max().item() > 0.1
+
+
+def test_damped_solve_by_the_samples_that_are_missing_is_numpys():
+    """Samples of weight 1 and 0.5 are taken away, wholly and by a half; one column keeps halves alone."""
+    g = torch.Generator().manual_seed(5)
+    columns = torch.nn.functional.normalize(torch.rand(POINTS, 12, generator=g, dtype=torch.float64), dim=0)
+    columns[20:, 3] = 0
+    lacking = torch.arange(0, 24)
+    taken = torch.where(lacking % 5 == 4, 0.5, 1.0).double()
+    left = torch.ones(POINTS, dtype=torch.float64)
+    left[lacking] -= taken
+    linear = torch.rand(3, 12, generator=g, dtype=torch.float64)
+    gram = columns.T @ columns
+    found = filling_of(columns, modulus_of(gram), 1e-3).damped(lacking, taken, linear)
+    shifted = columns.T @ (columns * left[:, None]) + 1e-3 * torch.eye(12, dtype=torch.float64)
+    torch.testing.assert_close(found, torch.linalg.solve(shifted, linear.T).T, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("case", ["few rows", "most rows", "weights raised", "a column almost gone"])
@@ -205,3 +226,25 @@ def test_column_that_only_one_photograph_sees_is_used_for_it():
 def test_equal_rows_are_found_in_order():
     rows = torch.tensor([[1.0, 0.0], [2.0, 0.0], [1.0, -0.0], [2.0, 1.0], [2.0, 0.0]], dtype=torch.float64)
     assert [group.tolist() for group in same_rows(rows)] == [[0, 2], [1, 4], [3]]
+
+
+def test_many_masked_photographs_have_the_residuals_of_scipy(monkeypatch):
+    """The guess is filled in by the samples that each photograph lacks; what comes out does not depend on it."""
+    monkeypatch.setattr(batch, "ENOUGH_MASKS", 2)
+    made: list[int] = []
+    genuine = batch.filling_of
+    monkeypatch.setattr(batch, "filling_of", lambda *parts: made.append(1) or genuine(*parts))
+    matrix = transport_like()
+    g = torch.Generator().manual_seed(6)
+    samples = torch.rand(5, 2, matrix.shape[0], generator=g, dtype=torch.float64)
+    weights = (torch.rand(5, matrix.shape[0], generator=g) > 0.1).double()
+    found = NNLS().solve(LeastSquares(matrix, samples, weights))
+    found.check()
+    assert made == [1]
+    for photo in range(5):
+        for channel in range(2):
+            rows = weights[photo] > 0
+            b = samples[photo, channel, rows]
+            _, least = nnls(matrix[rows].numpy(), b.numpy())
+            residual = (matrix[rows] @ found.coefficients[photo, channel] - b).norm().item()
+            assert residual == pytest.approx(least, rel=1e-7)

@@ -10,6 +10,7 @@ import torch
 from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 
+from torchlight.solvers import factor_kernel
 from torchlight.solvers import nnls_kernel as kernel
 from torchlight.solvers.active_set import Limits, minimize_nonnegative
 
@@ -53,7 +54,7 @@ def minimized(
     gram: np.ndarray, linear: np.ndarray, start: np.ndarray, ridge: float = RIDGE, most: int = 1000
 ) -> tuple[np.ndarray, np.ndarray]:
     x, steps = np.array(start, dtype=np.float64), np.zeros(len(linear), np.int64)
-    kernel.minimize_items(gram, linear, ridge, TOLERANCE, most, x, steps)
+    kernel.minimize_items(gram, linear, ridge, TOLERANCE, 0.0, most, x, steps)
     return x, steps
 
 
@@ -156,15 +157,15 @@ def test_factor_is_numpys_and_rows_known_before_stay(count: int):
     expected = np.linalg.cholesky(gram[np.ix_(index, index)] + 1e-9 * np.eye(count))
     for kept in (0, count // 2):
         factor, inverse = np.zeros((COUNT + 4, COUNT + 4)), np.ones(COUNT + 4)
-        kernel.factored(gram, index, kept, 0, 1e-9, factor, inverse)
-        assert kernel.factored(gram, index, count, kept, 1e-9, factor, inverse) == 1e-9
+        factor_kernel.factored(gram, index, kept, 0, 1e-9, factor, inverse)
+        assert factor_kernel.factored(gram, index, count, kept, 1e-9, factor, inverse) == 1e-9
         assert_allclose(np.tril(factor[:count, :count]), expected, rtol=1e-10, atol=1e-12)
 
 
 def test_indefinite_block_gets_the_shift_that_it_needs():
     gram = np.array([[1.0, 1.0], [1.0, 1.0 - 1e-10]])
     factor, inverse = np.zeros((6, 6)), np.ones(6)
-    shift = kernel.factored(gram, np.arange(2), 2, 0, 1e-13, factor, inverse)
+    shift = factor_kernel.factored(gram, np.arange(2), 2, 0, 1e-13, factor, inverse)
     assert 1e-13 < shift < 1e-8
     assert_allclose(factor[:2, :2] @ factor[:2, :2].T, gram + shift * np.eye(2), rtol=0, atol=1e-12)
 
@@ -173,5 +174,49 @@ def test_damped_solve_is_numpys():
     rng = np.random.default_rng(10)
     _, gram, linear = normal_equations(independent(rng), rng.random((3, POINTS)))
     x = np.empty_like(linear)
-    kernel.solve_items(gram, linear, 1e-5, x)
+    factor_kernel.solve_items(gram, linear, 1e-5, x)
     assert_allclose(x, np.linalg.solve(gram + 1e-5 * np.eye(COUNT), linear.T).T, rtol=1e-8)
+
+
+@pytest.mark.parametrize("cosine", [0.3, 1e-3])
+def test_an_item_may_end_where_its_cosine_is_met(cosine):
+    """Fewer factors than the minimum takes; from w = A'r by numpy, no cosine is larger than asked."""
+    rng = np.random.default_rng(12)
+    columns = independent(rng)
+    columns /= np.linalg.norm(columns, axis=0)
+    targets = rng.random((40, POINTS))
+    targets /= np.linalg.norm(targets, axis=1)[:, None]
+    gram, linear = columns.T @ columns, targets @ columns
+    spent = {}
+    for asked in (0.0, cosine):
+        x, steps = np.zeros_like(linear), np.zeros(len(linear), np.int64)
+        kernel.minimize_items(gram, linear, 1e-12, TOLERANCE, asked, 1000, x, steps)
+        residual = targets - x @ columns.T
+        w = residual @ columns
+        worst = np.where(x > 0, abs(w), w.clip(min=0)).max(axis=1) / np.linalg.norm(residual, axis=1)
+        assert x.min() >= 0
+        assert worst.max() <= max(asked, 1e-8)
+        spent[asked] = steps.sum()
+    assert spent[cosine] <= spent[0.0]
+    assert cosine < 0.1 or spent[cosine] < spent[0.0]
+
+
+def test_all_negative_columns_leave_but_only_promising_ones_come_in():
+    passive = np.array([True, True, False, False, False])
+    wrong = np.array([True, False, True, True, True])
+    w = np.array([0.0, 0.0, 1.0, 0.4, 0.6])
+    kernel.swap(passive, wrong, w, 0.5, 3)
+    assert passive.tolist() == [False, True, True, False, True]
+    kernel.swap(passive, wrong, w, 0.5, -1)
+    assert passive.tolist() == [False, True, True, False, False]
+    kernel.swap(passive, wrong, w, 0.0, 3)
+    assert passive.tolist() == [True, True, False, True, True]
+
+
+def test_where_all_columns_belong_in_they_come_in_before_columns_are_taken_one_by_one():
+    rng = np.random.default_rng(0)
+    matrix = np.eye(120) + 1e-9 * rng.random((120, 120))
+    truth = rng.permuted(np.tile(np.geomspace(1e-7, 1, 120), (3, 1)), axis=1)
+    _, gram, linear = normal_equations(matrix, truth @ matrix.T)
+    _, steps = minimized(gram, linear, np.zeros_like(linear))
+    assert steps.max() < kernel.PIVOTINGS

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchlight.errors import ConfigError
+from torchlight.errors import ConfigError, SceneError
 from torchlight.geometry.receiver import Receiver, receiver_points
-from torchlight.geometry.scene import Scene
+from torchlight.geometry.scene import Scene, shadowing
 from torchlight.geometry.visibility import scene_occlusion
 from torchlight.light.cubature import cubature
 from torchlight.light.environment import EnvironmentMap
@@ -25,7 +26,7 @@ Progress = Callable[[int, int], None]
 def irradiance(
     matrix: Float[Tensor, "points coeffs"], coefficients: Float[Tensor, "*batch coeffs"]
 ) -> Float[Tensor, "*batch points"]:
-    """Returns E = T c, the irradiance of every sample under light with coefficients c."""
+    """Returns E = T c, the irradiance of every sample under light with coefficients c; torch differentiates it."""
     return coefficients @ matrix.T
 
 
@@ -51,9 +52,11 @@ def relight(
 
     Raises:
         ConfigError: a number of rays below 1 or above `MAX_RAYS`.
+        SceneError: the scene says that light stands elsewhere than this light does.
     """
     if not 1 <= rays <= MAX_RAYS:
         raise ConfigError(f"rays: expected 1 to {MAX_RAYS:,}, got {rays:,}; {RAYS:,} is usual")
+    scene = shadowing(lit_by(scene, environment))
     lead = environment.radiance.shape[:-3]
     maps = environment.radiance.cpu().reshape(-1, *environment.radiance.shape[-3:])
     images = [
@@ -62,6 +65,21 @@ def relight(
     ]
     values = torch.stack(images).reshape(*lead, 3, -1).to(environment.radiance)
     return values * albedo_over_pi(scene.receiver, values)
+
+
+def lit_by(scene: Scene, environment: EnvironmentMap) -> Scene:
+    """Returns the scene with its light where the environment's light stands.
+
+    Raises:
+        SceneError: the scene states another place.
+    """
+    if scene.light_plane is not None and scene.light_plane != environment.plane:
+        there = "far away" if environment.plane is None else str(environment.plane)
+        raise SceneError(
+            f"the scene says that its light stands {scene.light_plane}, this light stands {there}; use the light.exr "
+            "of an estimate of this scene, or leave 'light' out of the scene file"
+        )
+    return replace(scene, light_plane=environment.plane)
 
 
 def _irradiance_of_map(

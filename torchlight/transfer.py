@@ -20,9 +20,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchlight.devices import moved
 from torchlight.errors import ConfigError, ShapeError
+from torchlight.geometry import contour_device
 from torchlight.geometry.contours import Contours, scene_contours
-from torchlight.geometry.crossings import Rectangles, on_grid, visible_integrals
+from torchlight.geometry.crossings import GridContours, Rectangles, on_grid, visible_integrals
 from torchlight.geometry.scene import Scene
 from torchlight.light import cubemap
 from torchlight.light.bases import Basis
@@ -33,6 +35,7 @@ MEMORY_BUDGET = 4 * 2**30  # bytes the transport itself may take
 LINES = 2  # per row of samples and direction
 DIRECTIONS_PER_CHUNK = 4096
 VALUES_PER_CHUNK = 4_000_000  # samples x squares, 32 MB per thread
+VALUES_ON_DEVICE = 2**25  # samples x squares, 256 MB
 LATTICE = (0.7548776662466927, 0.5698402909980532)  # rank 1, from the plastic number (Roberts 2018)
 Progress = Callable[[int, int], None]
 
@@ -69,13 +72,22 @@ class Transfer:
         return samples @ self.transport
 
     def project(self, basis: Basis) -> Float[Tensor, "points coeffs"]:
-        """Returns the transport of a basis: column i is the irradiance under basis function i alone."""
+        """Returns T S, the transport of a basis: column i is the irradiance under basis function i alone.
+
+        Linear in the transport, so torch differentiates it: dL/dT = (dL/d(T S)) S'.
+        """
         if basis.resolution != self.resolution:
             raise ShapeError(f"basis resolution {basis.resolution} differs from the transport's {self.resolution}")
         return basis.project(self.transport)
 
 
-def transport(scene: Scene, resolution: int, subsamples: int, progress: Progress | None = None) -> Transfer:
+def transport(
+    scene: Scene,
+    resolution: int,
+    subsamples: int,
+    progress: Progress | None = None,
+    device: torch.device | str = "cpu",
+) -> Transfer:
     """Returns the transport of a scene, float32.
 
     Args:
@@ -83,6 +95,7 @@ def transport(scene: Scene, resolution: int, subsamples: int, progress: Progress
         resolution: texels along a face's edge.
         subsamples: directions along a texel's edge.
         progress: called with (texels done, texels).
+        device: where it is made and stays: by compiled code on a CPU, by the same method in torch elsewhere.
 
     Raises:
         ConfigError: the transport would exceed `MEMORY_BUDGET`, or there is no direction per texel.
@@ -90,8 +103,8 @@ def transport(scene: Scene, resolution: int, subsamples: int, progress: Progress
     check_subsamples(subsamples)
     texels = cubemap.texel_count(resolution)
     check_budget(scene.receiver.points, texels)
-    result = torch.empty(scene.receiver.points, texels, dtype=torch.float32)
-    for part, columns in cast(scene, cubemap.whole_texels(resolution), subsamples):
+    result = torch.empty(scene.receiver.points, texels, dtype=torch.float32, device=device)
+    for part, columns in cast(scene, cubemap.whole_texels(resolution), subsamples, device=device):
         result[:, part] = columns.T.float()
         if progress is not None:
             progress(part.stop, texels)
@@ -124,12 +137,19 @@ def square_columns(
 
 
 def cast(
-    scene: Scene, cells: cubemap.Cells, subsamples: int, contours: Contours | None = None
+    scene: Scene,
+    cells: cubemap.Cells,
+    subsamples: int,
+    contours: Contours | None = None,
+    device: torch.device | str = "cpu",
 ) -> Iterator[tuple[slice, Float[Tensor, "part points"]]]:
     """Yields the transport of cells [cells], some at a time and in their order."""
     contours = scene_contours(scene) if contours is None else contours
     shape = on_grid(contours, scene.receiver, LINES)
     count, points = len(cells.face), scene.receiver.points
+    if torch.device(device).type != "cpu":
+        yield from cast_on_device(shape, cells, subsamples, device)
+        return
     step = max(1, min(DIRECTIONS_PER_CHUNK // subsamples**2, VALUES_PER_CHUNK // points))
 
     def integrate(part: slice) -> tuple[slice, Tensor]:
@@ -137,6 +157,18 @@ def cast(
         return part, visible_integrals(shape, rectangles)
 
     yield from ordered_map(integrate, (slice(at, min(at + step, count)) for at in range(0, count, step)))
+
+
+def cast_on_device(
+    shape: GridContours, cells: cubemap.Cells, subsamples: int, device: torch.device | str
+) -> Iterator[tuple[slice, Float[Tensor, "part points"]]]:
+    """Yields what `cast` does, made by `geometry.contour_device`."""
+    edges, count = contour_device.on_device(shape, device), len(cells.face)
+    step = max(1, VALUES_ON_DEVICE // (shape.grid.rows * shape.grid.columns))
+    for at in range(0, count, step):
+        part = slice(at, min(at + step, count))
+        rectangles = directions_of(some(cells, part), subsamples)
+        yield part, contour_device.visible_integrals(edges, moved(rectangles, device))
 
 
 def some(cells: cubemap.Cells, part: slice) -> cubemap.Cells:

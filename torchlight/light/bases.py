@@ -167,9 +167,7 @@ class SphericalHarmonics:
         self, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
     ) -> Float[Tensor, "texels coeffs"]:
         """Returns S, the cosine-weighted average of each harmonic over each visible texel."""
-        sums = _harmonic_integrals(self, _height, device=device)
-        # Y_00 is constant, so its column holds the rule's own integral of the cosine: constants stay exact.
-        return (sums / (sums[:, :1] * math.sqrt(4 * math.pi))).to(dtype)
+        return _cosine_averages(self.degree, self.resolution, dtype, torch.device(device))
 
 
 @dataclass(frozen=True)
@@ -235,6 +233,23 @@ def _one(directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
 def _height(directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
     """Returns z, the cosine at the plane: the integral is over projected solid angle."""
     return directions[..., 2]
+
+
+@torch.library.custom_op(  # opaque: a table, whose making has no place in a compiled graph
+    "torchlight::cosine_averages",
+    mutates_args=(),
+    schema="(int degree, int resolution, ScalarType dtype, Device device) -> Tensor",
+)
+def _cosine_averages(degree: int, resolution: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Returns the cosine-weighted average of each harmonic over each visible texel [texels coeffs]."""
+    sums = _harmonic_integrals(SphericalHarmonics(degree, resolution), _height, device=device)
+    # Y_00 is constant, so its column holds the rule's own integral of the cosine: constants stay exact.
+    return (sums / (sums[:, :1] * math.sqrt(4 * math.pi))).to(dtype)
+
+
+@_cosine_averages.register_fake
+def _(degree: int, resolution: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    return torch.empty(cubemap.texel_count(resolution), (degree + 1) ** 2, dtype=dtype, device=device)
 
 
 def _harmonic_integrals(

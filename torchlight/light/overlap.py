@@ -14,6 +14,7 @@ tangentially and converge as their width^1.5 only. The rest follows from a quart
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -23,13 +24,13 @@ from torch import Tensor
 
 from torchlight.errors import ShapeError
 from torchlight.light import cubemap, latlong
-from torchlight.light.directions import from_angles
 
 MINIMUM_STRIPS = 512  # at most 0.7 degrees wide: the two-point rule then leaves 1e-8
 NARROW = 2e-4  # radians; in narrower strips one node leaves 1e-6
 MAXIMUM_CORNER_RESOLUTION = 128  # beyond, the 0.6 N^2 corner azimuths cost too much: narrow strips replace them,
 STRIPS_PER_TEXEL = 32  # which leave a texel of the top face 3e-2 off at worst, 1e-3 typically
 CHUNK = 1_000_000  # crossings at once: about 300 MB
+Move = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +152,9 @@ def _upper_overlap(resolution: int, height: int) -> tuple[Int[Tensor, " pairs"],
     if resolution < 1 or height < 1:
         raise ShapeError(f"overlap: expected positive sizes, got resolution {resolution} and height {height}")
     azimuths, widths = _meridians(resolution, height)
-    symmetric = height % 2 == 0  # then a quarter turn is a whole number of columns
+    symmetric = height % 2 == 0  # then a quarter turn is a whole number of columns, and half of it two mirror images
     if symmetric:
-        first = (azimuths > 0) & (azimuths < math.pi / 2)
+        first = (azimuths > 0) & (azimuths < math.pi / 4)
         azimuths, widths = azimuths[first], widths[first]
     step = max(1, CHUNK // (height // 2 + 2 * resolution))
     parts = [
@@ -163,33 +164,40 @@ def _upper_overlap(resolution: int, height: int) -> tuple[Int[Tensor, " pairs"],
     key, area = _sum_by_key(torch.cat([key for key, _ in parts]), torch.cat([area for _, area in parts]))
     if not symmetric:
         return key, area
-    # each quarter turn meets columns of its own, so that the four sets of pairs are disjoint
-    turned, keys = _turned_texels(resolution), [key]
+    mirror = _image(resolution, lambda x, y, z: (y, x, z))
+    mirrored = _moved(key, mirror, lambda column: 3 * height // 2 - 1 - column, height)
+    key, area = _sum_by_key(torch.cat([key, mirrored]), area.repeat(2))  # a column in the middle is its own image
+    # each quarter turn meets columns of its own, so that the four sets of pairs are disjoint; azimuth grows leftwards
+    turn, keys = _image(resolution, lambda x, y, z: (-y, x, z)), [key]
     for _ in range(3):
-        keys.append(_turn(keys[-1], turned, height))
-    whole = torch.cat(keys).sort()
-    return whole.values, area.repeat(4)[whole.indices]
+        keys.append(_moved(keys[-1], turn, lambda column: column - height // 2, height))
+    return torch.cat(keys), area.repeat(4)
 
 
-def _turned_texels(resolution: int) -> Int[Tensor, " texels"]:
-    """Returns for each texel of the six faces the one a quarter turn about +Z further on."""
-    x, y, z = cubemap.texel_directions(resolution).unbind(dim=-1)
-    return cubemap.texel_index(torch.stack([-y, x, z], dim=-1), resolution)
+def _image(resolution: int, move: Move) -> Int[Tensor, " texels"]:
+    """Returns for each texel of the six faces where a symmetry of the cube, given for x, y and z, takes it."""
+    return cubemap.texel_index(torch.stack(move(*cubemap.texel_directions(resolution).unbind(-1)), -1), resolution)
 
 
-def _turn(key: Int[Tensor, " pairs"], turned: Int[Tensor, " texels"], height: int) -> Int[Tensor, " pairs"]:
-    """Returns the pair a quarter turn about +Z further on."""
-    pixel, texel = key // len(turned), key % len(turned)
+def _moved(
+    key: Int[Tensor, " pairs"], image: Int[Tensor, " texels"], columns: Callable[[Tensor], Tensor], height: int
+) -> Int[Tensor, " pairs"]:
+    """Returns where a symmetry that keeps heights takes each pair.
+
+    Args:
+        key: pixel * texels + texel.
+        image: of the texels.
+        columns: where it takes pixel columns, up to whole turns.
+        height: rows of the lat-long image.
+    """
+    pixel, texel = key // len(image), key % len(image)
     row, column = pixel // (2 * height), pixel % (2 * height)
-    # Azimuth grows to the left.
-    column = torch.remainder(column - height // 2, 2 * height)
-    return (row * (2 * height) + column) * len(turned) + turned[texel]
+    return (row * (2 * height) + torch.remainder(columns(column), 2 * height)) * len(image) + image[texel]
 
 
 def _mirror(key: Int[Tensor, " pairs"], resolution: int, height: int) -> Int[Tensor, " pairs"]:
     """Returns the pair at the mirrored place z -> -z."""
-    x, y, z = cubemap.texel_directions(resolution).unbind(dim=-1)
-    mirrored = cubemap.texel_index(torch.stack([x, y, -z], dim=-1), resolution)
+    mirrored = _image(resolution, lambda x, y, z: (x, y, -z))
     pixel, texel = key // len(mirrored), key % len(mirrored)
     row, column = pixel // (2 * height), pixel % (2 * height)
     return ((height - 1 - row) * (2 * height) + column) * len(mirrored) + mirrored[texel]
@@ -222,15 +230,30 @@ def _chunk(
 ) -> tuple[Int[Tensor, " pairs"], Float[Tensor, " pairs"]]:
     """Returns pixel * texels + texel and the shared solid angle of each pair met on some meridians."""
     z = _crossings(azimuths, resolution, height)
-    length = z.diff(dim=1)
-    node, interval = torch.nonzero(length > 1e-14, as_tuple=True)
-    middle = (z[node, interval] + z[node, interval + 1]) / 2
-    directions = from_angles(torch.acos(middle), azimuths[node])
-    texel = cubemap.texel_index(directions, resolution)
-    row = (torch.acos(middle) * (height / math.pi)).long().clamp(0, height - 1)
+    length, middle = z.diff(dim=1), (z[:, 1:] + z[:, :-1]) / 2
+    row = (torch.acos(middle) * (height / math.pi)).long().clamp_(0, height - 1)
     column = ((math.pi - azimuths) * (height / math.pi)).long().clamp(0, 2 * height - 1)
-    key = (row * (2 * height) + column[node]) * (6 * resolution**2) + texel
-    return _sum_by_key(key, length[node, interval] * widths[node])
+    key = (row * (2 * height) + column[:, None]) * (6 * resolution**2) + _texels_met(azimuths, middle, resolution)
+    met = length > 1e-14
+    return _sum_by_key(key[met], (length * widths[:, None])[met])
+
+
+def _texels_met(
+    azimuths: Float[Tensor, " nodes"], z: Float[Tensor, "nodes heights"], resolution: int
+) -> Int[Tensor, "nodes heights"]:
+    """Returns what `cubemap.texel_index` says of points of the upper sphere on meridians, whose side face is one."""
+    cosine, sine = azimuths.cos()[:, None], azimuths.sin()[:, None]
+    horizon = torch.cat([cosine, sine, torch.zeros_like(sine)], dim=1)
+    side_bottom = cubemap.texel_index(horizon, resolution)[:, None]  # in the row that holds v = 0
+    cotangent = z / (1 - z * z).clamp_(min=0).sqrt_()
+    up = cotangent / torch.maximum(cosine.abs(), sine.abs())  # v on the side face; beyond 1 the top one begins
+    lower = resolution // 2
+    rows = ((1 - up) * (resolution / 2)).long()
+    side = side_bottom + (rows - lower).clamp_(-lower, 0) * resolution
+    right, down = (1 - sine / cotangent).mul_(resolution / 2), (1 + cosine / cotangent).mul_(resolution / 2)
+    last = resolution - 1
+    top = (cubemap.TOP_FACE * resolution + down.long().clamp_(0, last)) * resolution + right.long().clamp_(0, last)
+    return torch.where(up > 1, top, side)
 
 
 def _crossings(azimuths: Float[Tensor, " nodes"], resolution: int, height: int) -> Float[Tensor, "nodes crossings"]:

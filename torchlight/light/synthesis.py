@@ -61,9 +61,9 @@ def harmonics_to_latlong(
     angle = order.abs()[:, None] * phi
     waves = torch.where(order[:, None] < 0, angle.sin(), angle.cos())
     waves *= torch.special.sinc(order[:, None].double() / (2 * height))
-    weighted = coefficients.double().cpu()[..., None, :] * zonal
-    values = torch.zeros(*coefficients.shape[:-1], height, 2 * height, dtype=torch.float64)
-    values[..., : height // 2, :] = weighted @ waves
+    weighted = coefficients.double()[..., None, :] * zonal.to(coefficients.device)
+    values = weighted.new_zeros(*coefficients.shape[:-1], height, 2 * height)
+    values[..., : height // 2, :] = weighted @ waves.to(coefficients.device)
     return values.to(coefficients)
 
 

@@ -9,16 +9,20 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchlight.solvers.active_set import Limits, minimize_nonnegative
+from torchlight.solvers.active_set import Limits
 from torchlight.solvers.certificate import nonzero_norm
+from torchlight.solvers.device_steps import alike, minimizers
+from torchlight.solvers.filling import Filling, filling_of
 from torchlight.solvers.modulus import Modulus, modulus_of
-from torchlight.solvers.shared_gram import SharedGram, UnitGram, correlations, gram_under, unit_gram
+from torchlight.solvers.shared_gram import SharedGram, UnitGram, correlations, gram_under, scaled_to_unit, unit_gram
 from torchlight.solvers.system import System, same_rows
 from torchlight.threads import ordered_map, single_threaded
 
 ITEMS_PER_TASK = 48
 SMALL = 1024  # columns: a start by products pays for a single item up to here, and
 ENOUGH = 8  # items: for these beyond
+MOST_LACKING = 0.5  # of the columns: with more samples lacking, a factor of all columns costs less
+ENOUGH_MASKS = 16  # photographs: for these the products that all masks share pay
 DAMPING = 1e-5  # of the unit diagonal: what fills in the samples that a photograph lacks
 
 Group = Int[Tensor, " _"]
@@ -33,6 +37,7 @@ class Batch:
         shared: the Gram matrix that most have.
         base: the same of columns scaled to norm 1.
         guess: rough minimisers under `base`; None where it costs more than it saves.
+        filling: what photographs that lack samples share; None where few do.
         linear: A'W b / |b| of every item, of the columns of `shared`.
         ridge: weight of sum_j |a_j|^2 x_j^2 / 2.
         limits: when to stop.
@@ -42,6 +47,7 @@ class Batch:
     shared: SharedGram
     base: UnitGram
     guess: Modulus | None
+    filling: Filling | None
     linear: Float[Tensor, "items k"]
     ridge: float
     limits: Limits
@@ -55,12 +61,18 @@ def batch_minimizers(
     The objective is |A x - b|^2 / 2 + ridge sum_j |a_j|^2 x_j^2 / 2 under each item's weights. Supports are guessed
     for many items at once, by the Gram matrix that most share (`modulus`); an exact method then ends each.
     """
+    if system.targets.device.type != "cpu":
+        from torchlight.solvers.device_nnls import lockstep_minimizers  # it takes from here what both share
+
+        return lockstep_minimizers(system, shared, ridge, limits)
     size = nonzero_norm(system.targets)[:, None]
     linear = correlations(shared, system) / size
     base = unit_gram(shared.gram)
     worth_it = linear.shape[1] > 0 and (linear.shape[1] <= SMALL or linear.shape[0] >= ENOUGH)
     guess = modulus_of(base.gram) if worth_it else None
-    batch = Batch(system, shared, base, guess, linear, ridge, limits)
+    many = system.root.shape[0] >= ENOUGH_MASKS
+    filling = None if guess is None or not many else filling_of(shared.columns * base.inverse, guess, DAMPING)
+    batch = Batch(system, shared, base, guess, filling, linear, ridge, limits)
     x = torch.zeros_like(linear)
     steps = torch.zeros(x.shape[0], dtype=torch.int64, device=x.device)
 
@@ -98,47 +110,57 @@ def solved(
     batch: Batch, groups: list[Group]
 ) -> Iterator[tuple[Group, Float[Tensor, "items k"], Int[Tensor, " items"]]]:
     """Yields the items, their minimisers for |b| = 1 and their steps, group by group."""
-    grams = [own_gram(batch, group) for group in groups]
-    starts = guessed(batch, groups, grams).split([len(group) for group in groups])
-    for group, gram, start in zip(groups, grams, starts, strict=True):
-        own = batch.base if gram is batch.shared.gram else unit_gram(gram)
+    owns = [own_gram(batch, group) for group in groups]
+    starts = guessed(batch, groups, owns).split([len(group) for group in groups])
+    for group, own, start in zip(groups, owns, starts, strict=True):
         found, spent = minimize(own, batch.linear[group] * own.inverse, start, batch.ridge, batch.limits)
         yield group, found * own.inverse / batch.shared.norms, spent
 
 
-def own_gram(batch: Batch, group: Group) -> Float[Tensor, "k k"]:
+def own_gram(batch: Batch, group: Group) -> UnitGram:
     """Returns the Gram matrix under the weights of a group."""
     if batch.system.root.shape[0] == 1:
-        return batch.shared.gram
-    return gram_under(batch.shared, batch.system.root[group[0]].square())
+        return batch.base
+    gram = gram_under(batch.shared, batch.system.root[group[0]].square())
+    return batch.base if gram is batch.shared.gram else scaled_to_unit(gram)
 
 
-def guessed(batch: Batch, groups: list[Group], grams: list[Float[Tensor, "k k"]]) -> Float[Tensor, "items k"]:
+def guessed(batch: Batch, groups: list[Group], owns: list[UnitGram]) -> Float[Tensor, "items k"]:
     """Returns where the items are likely to end, from the Gram matrix that most share.
 
     An item of other weights, with the Gram matrix H, is taken for the photograph that samples where others do. Those
     that it lacks are filled in with what damped least squares y = (H + d 1)^-1 c predicts of them: c becomes
     c + (G - H) y, which is (G + d 1) y.
     """
-    base, rights = batch.base, []
-    for group, gram in zip(groups, grams, strict=True):
-        c = batch.linear[group] * base.inverse
-        if gram is not batch.shared.gram and batch.guess is not None:
-            y = damped(gram * base.inverse[:, None] * base.inverse, c)
-            c = y @ base.gram + DAMPING * y
-        rights.append(c)
-    linear = torch.cat(rights)
+    linear = batch.linear[torch.cat(groups)] * batch.base.inverse
+    if batch.guess is None:
+        return torch.zeros_like(linear)
+    for own, group, c in zip(owns, groups, linear.split([len(group) for group in groups]), strict=True):
+        if own is not batch.base:
+            y = damped(batch, group, own, c)
+            c.copy_(y @ batch.base.gram + DAMPING * y)
     start = torch.zeros_like(linear)
     lit = (linear > 0).any(dim=1)
-    if batch.guess is not None and bool(lit.any()):
+    if bool(lit.any()):
         start[lit] = batch.guess.minimizers(linear[lit])
     return start
 
 
-def damped(gram: Float[Tensor, "k k"], linear: Float[Tensor, "items k"]) -> Float[Tensor, "items k"]:
+def damped(batch: Batch, group: Group, own: UnitGram, linear: Float[Tensor, "items k"]) -> Float[Tensor, "items k"]:
+    """Returns (H + d 1)^-1 c of every item of a group, by the samples that it lacks where they are few."""
+    change = batch.system.root[group[0]].square() - batch.shared.weights
+    lacking = change.nonzero()[:, 0]
+    few = lacking.shape[0] <= MOST_LACKING * linear.shape[1]
+    if batch.filling is not None and few and bool((change <= 0).all()):
+        return batch.filling.damped(lacking, -change[lacking], linear)
+    scale = own.norms * batch.base.inverse
+    return solved_directly(own.gram * scale[:, None] * scale, linear)
+
+
+def solved_directly(gram: Float[Tensor, "k k"], linear: Float[Tensor, "items k"]) -> Float[Tensor, "items k"]:
     """Returns (H + d 1)^-1 c of every row: in compiled code on a CPU."""
     if gram.device.type == "cpu":
-        from torchlight.solvers.nnls_kernel import solve_items  # numba is imported only where it is used
+        from torchlight.solvers.factor_kernel import solve_items  # numba is imported only where it is used
 
         x = torch.empty_like(linear)
         solve_items(gram.numpy(), linear.numpy(), DAMPING, x.numpy())
@@ -148,15 +170,24 @@ def damped(gram: Float[Tensor, "k k"], linear: Float[Tensor, "items k"]) -> Floa
 
 
 def minimize(
-    unit: UnitGram, linear: Float[Tensor, "items k"], start: Float[Tensor, "items k"], ridge: float, limits: Limits
+    unit: UnitGram,
+    linear: Float[Tensor, "items k"],
+    start: Float[Tensor, "items k"],
+    ridge: float,
+    limits: Limits,
+    cosine: float = 0.0,
 ) -> tuple[Float[Tensor, "items k"], Int[Tensor, " items"]]:
-    """Returns the minimisers of x'Gx/2 - c'x + ridge |x|^2/2 over x >= 0, and the steps: in compiled code on a CPU."""
+    """Returns the minimisers of x'Gx/2 - c'x + ridge |x|^2/2 over x >= 0, and the steps.
+
+    On a CPU by compiled code, item by item, where a `cosine` above 0 lets an item of |b| = 1 end early
+    (`nnls_kernel.minimize_items`); elsewhere all items in lockstep.
+    """
     if linear.device.type == "cpu":
         from torchlight.solvers.nnls_kernel import minimize_items
 
-        x, steps = start.contiguous(), torch.zeros(len(start), dtype=torch.int64)
+        x, steps = start.clone(memory_format=torch.contiguous_format), torch.zeros(len(start), dtype=torch.int64)
         gram, c = unit.gram.contiguous(), linear.contiguous()
-        minimize_items(gram.numpy(), c.numpy(), ridge, limits.tolerance, limits.max_steps, x.numpy(), steps.numpy())
+        most = limits.max_steps
+        minimize_items(gram.numpy(), c.numpy(), ridge, limits.tolerance, cosine, most, x.numpy(), steps.numpy())
         return x, steps
-    found = [minimize_nonnegative(unit.gram, c, x, ridge, limits) for c, x in zip(linear, start, strict=True)]
-    return torch.stack([x for x, _ in found]), torch.tensor([spent for _, spent in found], device=linear.device)
+    return minimizers(alike(unit.gram, linear), start, ridge, limits)

@@ -10,6 +10,8 @@ from torch import Tensor
 
 from torchlight.solvers.system import System
 
+SMALLEST_RESIDUAL = 1e-6  # of |b|
+
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
@@ -60,6 +62,25 @@ def kkt_residual(
     primal = (-x * norms).amax(dim=-1).clamp(min=0) / size
     complementarity = (x * w).abs().sum(dim=-1) / size / size
     return torch.stack([dual, primal, complementarity]).amax(dim=0)
+
+
+def kkt_cosine(
+    z: Float[Tensor, "*items coeffs"], w: Float[Tensor, "*items coeffs"], residual: Float[Tensor, "*items points"]
+) -> Float[Tensor, "*items"]:
+    """Returns the largest cosine of an angle that should be a right one, between the residual and a column.
+
+    At the minimum the residual r is orthogonal to columns in use, and no other column points along it: the largest of
+    |w_j| / |r| where x_j > 0 and w_j / |r| elsewhere, with w_j = a_j'r / |a_j|. It does not change when A, one of its
+    columns or b is scaled. It is stricter than `kkt_residual` where the fit is good, for |b| stands there for |r|. A
+    residual below 1e-6 |b| counts as 1e-6 |b|: below it rounding has the say.
+
+    Args:
+        z: the answer, at least 0.
+        w: inner products of the residual with the columns scaled to norm 1.
+        residual: b - A x, for |b| = 1.
+    """
+    violation = torch.where(z > 0, w.abs(), w.clamp(min=0)).amax(dim=-1)
+    return violation / torch.linalg.vector_norm(residual, dim=-1).clamp(min=SMALLEST_RESIDUAL)
 
 
 def duality_gap(

@@ -23,7 +23,8 @@ class SharedGram:
     """Columns that some photograph sees, and their inner products under the weights that most photographs have.
 
     Attributes:
-        index: which columns of the system.
+        index: which columns of the system, the longest first: whether a column is in use is in doubt where it is
+            short, and factors change least where the last columns come and go.
         norms: what they were divided by: |V^(1/2) a_j|, V the largest weights of any photograph, sample by sample.
         columns: the columns divided by norms, without weights, float64.
         weights: diagonal of W, the median of the photographs' weights, sample by sample.
@@ -54,7 +55,7 @@ class UnitGram:
 
 def shared_gram(system: System, norms: Float[Tensor, " coeffs"]) -> SharedGram:
     """Returns the Gram matrix of the columns that some item sees, by their `largest_norms`."""
-    index = norms.nonzero()[:, 0]
+    index = norms.argsort(descending=True, stable=True)[: int((norms > 0).sum())]
     weights = system.root.square().median(dim=0).values
     columns = system.matrix[:, index].to(torch.float64) / norms[index]
     return SharedGram(index, norms[index], columns, weights, weighted_gram(columns, weights))
@@ -88,8 +89,8 @@ def gram_under(shared: SharedGram, weights: Float[Tensor, " points"]) -> Float[T
         return shared.gram
     if differ.shape[0] > MOST_CHANGED * change.shape[0]:
         seen = weights.nonzero()[:, 0]
-        return symmetric_product(shared.columns[seen], weights[seen])
-    gram = shared.gram + symmetric_product(shared.columns[differ], change[differ])
+        return symmetric_sum(torch.zeros_like(shared.gram), shared.columns[seen], weights[seen])
+    gram = symmetric_sum(shared.gram, shared.columns[differ], change[differ])
     lost = (gram.diagonal() < LOST * shared.gram.diagonal()).nonzero()[:, 0]
     if lost.shape[0] > 0:
         afresh = shared.columns.T @ (shared.columns[:, lost] * weights[:, None])
@@ -97,12 +98,17 @@ def gram_under(shared: SharedGram, weights: Float[Tensor, " points"]) -> Float[T
     return gram
 
 
-def symmetric_product(columns: Float[Tensor, "points k"], weights: Float[Tensor, " points"]) -> Float[Tensor, "k k"]:
-    """Returns C'WC as `weighted_gram` does, on the calling thread."""
-    weighted = columns * weights[:, None]
-    result = columns.new_empty(columns.shape[1], columns.shape[1])
+def symmetric_sum(
+    gram: Float[Tensor, "k k"], columns: Float[Tensor, "points k"], weights: Float[Tensor, " points"]
+) -> Float[Tensor, "k k"]:
+    """Returns G + C'WC, made below the diagonal block row by block row and copied above."""
+    weighted = (columns * weights[:, None]).T
+    result = torch.empty_like(gram)
     for start in block_starts(columns):
-        fill_block(columns, weighted, result, start)
+        stop = start + COLUMNS_PER_TASK
+        here = slice(start, stop)
+        torch.addmm(gram[here, :stop], weighted[here], columns[:, :stop], out=result[here, :stop])
+        result[:start, here] = result[here, :start].T
     return result
 
 
@@ -125,11 +131,15 @@ def fill_block(
 
 def unit_gram(gram: Float[Tensor, "k k"]) -> UnitGram:
     """Returns the Gram matrix of the columns divided by their lengths."""
+    return scaled_to_unit(gram.clone())
+
+
+def scaled_to_unit(gram: Float[Tensor, "k k"]) -> UnitGram:
+    """Returns `unit_gram`, made in place."""
     norms = gram.diagonal().clamp(min=0).sqrt()
     inverse = torch.where(norms > 0, 1 / norms, 0.0)
-    scaled = gram * inverse[:, None] * inverse
-    scaled.diagonal().fill_(1.0)
-    return UnitGram(scaled, norms, inverse)
+    gram.mul_(inverse[:, None]).mul_(inverse).diagonal().fill_(1.0)
+    return UnitGram(gram, norms, inverse)
 
 
 def correlations(shared: SharedGram, system: System) -> Float[Tensor, "items k"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchlight.errors import ConfigError
@@ -67,9 +67,7 @@ class NonnegativeSynthesis:
 
     def _solve_system(self, system: System, synthesis: Float[Tensor, "texels coeffs"]) -> Answer:
         program = diagonalized(system, synthesis.to(torch.float64), self.proximity)
-        pool = unit_pool(program.cone)
-        items = [self._solve_item(program, pool, target) for target in system.targets]
-        u, steps, figures, converged = (torch.stack(part) for part in zip(*items, strict=True))
+        u, steps, figures, converged = self._solve_items(program, system.targets)
         x = u @ program.right
         residual = torch.linalg.vector_norm(system.targets - system.predict(x), dim=-1)
         return Answer(
@@ -80,6 +78,18 @@ class NonnegativeSynthesis:
             gap=figures[:, 1],
             converged=converged,
         )
+
+    def _solve_items(
+        self, program: Diagonal, targets: Float[Tensor, "items points"]
+    ) -> tuple[Float[Tensor, "items coeffs"], Int[Tensor, " items"], Float[Tensor, "items 2"], Bool[Tensor, " items"]]:
+        if targets.device.type != "cpu":
+            from torchlight.solvers.device_synthesis import lockstep_synthesis  # it takes from here what both share
+
+            return lockstep_synthesis(self, program, targets)
+        pool = unit_pool(program.cone)
+        items = [self._solve_item(program, pool, target) for target in targets]
+        u, steps, figures, converged = (torch.stack(part) for part in zip(*items, strict=True))
+        return u, steps, figures, converged
 
     def _solve_item(
         self, program: Diagonal, pool: Pool, target: Float[Tensor, " points"]
@@ -156,21 +166,21 @@ def project(
 
 def optimality(
     program: Diagonal,
-    seen: Float[Tensor, " coeffs"],
-    u: Float[Tensor, " coeffs"],
-    multipliers: Float[Tensor, " texels_used"],
-) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    seen: Float[Tensor, "*items coeffs"],
+    u: Float[Tensor, "*items coeffs"],
+    multipliers: Float[Tensor, "*items texels_used"],
+) -> tuple[Float[Tensor, "*items"], Float[Tensor, "*items"]]:
     """Returns kkt_residual and gap as `NonnegativeSynthesis` defines them, for |b| = 1."""
     s = program.values
     largest = torch.where(s[0] > 0, s[0], 1.0)
-    radiance = program.synthesis @ u
+    radiance = u @ program.synthesis.T  # of no texel at all where every row of S is 0
     stationarity = s * (s * u - seen) - multipliers @ program.synthesis
-    complementarity = multipliers @ radiance
-    peak = torch.cat([radiance.abs(), 1 / largest[None]]).max()
-    violation = torch.cat([-radiance, torch.zeros_like(largest[None])]).max() / peak
-    kkt = torch.stack([torch.linalg.vector_norm(stationarity) / largest, violation, complementarity.abs()]).max()
+    complementarity = (multipliers * radiance).sum(dim=-1)
+    and_zero = torch.nn.functional.pad(radiance, (0, 1))
+    violation = (-and_zero).amax(dim=-1) / torch.maximum(and_zero.abs().amax(dim=-1), 1 / largest)
+    kkt = torch.stack([torch.linalg.vector_norm(stationarity, dim=-1) / largest, violation, complementarity.abs()])
     resolved = s > max(program.left.shape) * torch.finfo(s.dtype).eps * largest
-    unseen = torch.linalg.vector_norm(stationarity[~resolved]) / largest
-    gap = (stationarity / torch.where(resolved, s, torch.inf)).square().sum() + 2 * complementarity
+    unseen = torch.linalg.vector_norm(torch.where(resolved, 0.0, stationarity), dim=-1) / largest
+    gap = (stationarity / torch.where(resolved, s, torch.inf)).square().sum(dim=-1) + 2 * complementarity
     rounding = len(s) * torch.finfo(s.dtype).eps
-    return kkt, torch.where(unseen <= rounding, gap.clamp(min=0), torch.nan)
+    return kkt.amax(dim=0), torch.where(unseen <= rounding, gap.clamp(min=0), torch.nan)

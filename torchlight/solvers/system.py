@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 
 import torch
@@ -118,10 +118,17 @@ def by_weights(weights: Float[Tensor, "photos points"]) -> list[Tensor]:
 
 def same_rows(rows: Float[Tensor, "rows points"]) -> list[Int[Tensor, " some"]]:
     """Returns the numbers of the rows, those of equal rows together, in the order in which they first appear."""
-    groups: dict[bytes, list[int]] = {}
-    for number, row in enumerate(rows.cpu().contiguous().numpy() + 0.0):  # -0 equals 0
-        groups.setdefault(row.tobytes(), []).append(number)
+    groups: dict[Hashable, list[int]] = {}
+    for number, key in enumerate(row_keys(rows)):
+        groups.setdefault(key, []).append(number)
     return [torch.tensor(numbers, device=rows.device) for numbers in groups.values()]
+
+
+def row_keys(rows: Float[Tensor, "rows points"]) -> Iterable[Hashable]:
+    """Returns something for each row that equal rows share; of rows on a device only that leaves it."""
+    if rows.device.type == "cpu":
+        return (row.tobytes() for row in rows.contiguous().numpy() + 0.0)  # -0 equals 0
+    return torch.unique(rows, dim=0, return_inverse=True)[1].tolist()
 
 
 def all_at_once(weights: Float[Tensor, "photos points"]) -> list[Tensor]:

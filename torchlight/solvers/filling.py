@@ -1,0 +1,65 @@
+"""Damped least squares for photographs that lack some samples, by a factor no larger than these samples are many."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchlight.solvers.modulus import Modulus
+from torchlight.threads import ordered_map, single_threaded
+
+ROWS_PER_TASK = 512
+
+
+@dataclass(frozen=True, eq=False)
+class Filling:
+    """(H + d 1)^-1 c for many H = G - C_s' D C_s, one set of samples s and weights D >= 0 taken away each.
+
+    With G = V diag(g) V' and B = C V (diag(g) + d 1)^(-1/2), made once, the matrix of Woodbury's identity is only as
+    large as the samples are many:
+
+        (H + d 1)^-1 = V (diag(g) + d 1)^(-1/2) (1 + B_s' (D^-1 - B_s B_s')^-1 B_s) (diag(g) + d 1)^(-1/2) V'.
+
+    Attributes:
+        basis: V (diag(g) + d 1)^(-1/2).
+        rows: B.
+
+    References:
+        Woodbury, Inverting modified matrices, 1950.
+    """
+
+    basis: Float[Tensor, "k k"]
+    rows: Float[Tensor, "points k"]
+
+    def damped(
+        self, lacking: Int[Tensor, " s"], taken: Float[Tensor, " s"], linear: Float[Tensor, "items k"]
+    ) -> Float[Tensor, "items k"]:
+        """Returns (H + d 1)^-1 c of every row.
+
+        Args:
+            lacking: the samples s, each once.
+            taken: the diagonal of D, positive.
+            linear: c.
+        """
+        rows, along = self.rows[lacking], linear @ self.basis
+        inner = torch.diag(1 / taken).addmm_(rows, rows.T, alpha=-1)
+        factor = torch.linalg.cholesky_ex(inner)[0]
+        filled = torch.cholesky_solve(rows @ along.T, factor).T @ rows
+        return (along + filled) @ self.basis.T
+
+
+def filling_of(columns: Float[Tensor, "points k"], guess: Modulus, damping: float) -> Filling:
+    """Returns what the photographs share, for the columns whose Gram matrix `guess` has."""
+    basis = guess.vectors / (guess.values + damping).sqrt()
+    rows = torch.empty_like(columns)
+
+    def fill(start: int) -> None:
+        torch.mm(columns[start : start + ROWS_PER_TASK], basis, out=rows[start : start + ROWS_PER_TASK])
+
+    with single_threaded():
+        for _ in ordered_map(fill, range(0, columns.shape[0], ROWS_PER_TASK)):
+            pass
+    return Filling(basis, rows)
