@@ -2,6 +2,24 @@
 
 from __future__ import annotations
 
+import elsewhere
+import pytest
+import torch
 from jaxtyping import install_import_hook
 
 install_import_hook("torchlight", "beartype.beartype")
+elsewhere.register()  # before the first gradient: then torch counts the devices that there are
+
+
+def cuda() -> torch.device:
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    return torch.device("cuda")
+
+
+@pytest.fixture(params=["cpu", "elsewhere", "cuda"])
+def device(request: pytest.FixtureRequest) -> torch.device:
+    """Where to compute: on the CPU, on a device that is not there, on a GPU where there is one."""
+    if request.param == "cpu":
+        return torch.device("cpu")
+    return cuda() if request.param == "cuda" else elsewhere.register()

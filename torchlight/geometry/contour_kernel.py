@@ -26,6 +26,9 @@ from torchlight.compiled import compiled
 CLUSTER, EVERY = 16, 0xFFFF  # edges in a cluster, a bit for each
 COARSE, FINE = 6, 3  # directions along the edge of a block
 CROSSINGS = 32  # room for the crossings of one line at first; doubled when it is not enough
+INSERTED, COUNTED = 6, 64  # crossings of a line that are sorted by insertion; by counting
+TOGETHER = 16  # crossings that are counted together
+LAST = 2**63 - 1  # behind all of them
 ROUNDING = 1e-11  # of n . d for a unit normal and a direction to a face of the cube: a sign beyond it is certain
 SLACK = 1e-9  # of the sine of an angle between a cluster and a direction
 TURNING = 9.0  # in the place of an n_e that changes within a block
@@ -226,7 +229,7 @@ def cross(edges, chosen, hits, meeting, x, y, shift, columns, lists, reached):
     A line y = k + shift is crossed by an edge with one end below it and the other not. Crossings right of the grid
     are dropped, those left of it only counted. Returns whether there was room for all.
     """
-    lines = len(lists[0])
+    lines, lowest, highest = len(lists[0]), reached[0], reached[1]
     for hit in range(hits):
         e = chosen[hit]
         t0, t1 = edges[1, e] - y * edges[2, e] - shift, edges[4, e] - y * edges[5, e] - shift
@@ -234,9 +237,10 @@ def cross(edges, chosen, hits, meeting, x, y, shift, columns, lists, reached):
         begin, end = int(max(np.ceil(min(t0, t1)), 0.0)), int(min(np.ceil(max(t0, t1)), float(lines)))
         step = np.int32(-meeting[e] if t0 < t1 else meeting[e])
         slope = (x1 - x0) / (t1 - t0)
-        reached[0], reached[1] = min(reached[0], begin), max(reached[1], end)
+        lowest, highest = min(lowest, begin), max(highest, end)
         if not note(begin, end, x0, t0, slope, step, columns, lists):
             return False
+    reached[0], reached[1] = lowest, highest
     return True
 
 
@@ -248,6 +252,49 @@ def longer(lists):
     crossings[:], before[:] = 0, 0
     shape = (len(places), 2 * places.shape[1])
     return np.empty(shape, places.dtype), np.empty(shape, steps.dtype), crossings, before
+
+
+@compiled
+@no_type_check
+def packed(place, step):
+    """Returns a place > 0 and a step of -2 to 2 there as one integer: in the order of the places, upward steps first.
+
+    The bits of positive numbers are in the order of the numbers; the last three, 1e-15 of the place, hold the step.
+    """
+    return (np.float64(place).view(np.int64) & ~np.int64(7)) | np.int64(4 - step)
+
+
+@compiled
+@no_type_check
+def sort_full_lines(reached, lists, packs):
+    """Sorts the lines with more than a few crossings; `sort_line` then finds nothing to move in them."""
+    places, steps, crossings, _ = lists
+    for line in range(reached[0], reached[1]):
+        if INSERTED < crossings[line] <= COUNTED:
+            count_in(line, crossings[line], places, steps, packs)
+
+
+@compiled
+@no_type_check
+def count_in(line, count, places, steps, packs):
+    """Sorts some crossings: each has as many before it as are less.
+
+    Counting them needs no branch that would be hard to predict. Equal ones are alike: any of them may come first.
+    """
+    full = (count + TOGETHER - 1) // TOGETHER * TOGETHER
+    for i in range(full):
+        packs[0, i] = packed(places[line, i], steps[line, i]) if i < count else LAST
+        packs[1, i] = LAST
+    for i in range(count):
+        crossing, rank = packs[0, i], 0
+        for j in range(full):
+            rank += int(packs[0, j] < crossing)
+        while packs[1, rank] != LAST:
+            rank += 1
+        packs[1, rank] = crossing
+    for i in range(count):
+        places[line, i] = np.int64(packs[1, i] & ~np.int64(7)).view(np.float64)
+        steps[line, i] = 4 - (packs[1, i] & np.int64(7))
 
 
 @compiled
@@ -368,7 +415,7 @@ def visible_integrals(
     )
     scratch, chosen, lists = np.empty((3, room)), np.empty((2, room), np.int32), empty_lists(rows * lines)
     met, part, reached = np.empty(room, np.int32), np.empty((3, 3)), np.zeros(2, np.int64)
-    differences = np.empty((rows, columns + 1), np.int64)
+    differences, packs = np.empty((rows, columns + 1), np.int64), np.empty((2, COUNTED), np.int64)
     for square in range(len(slopes)):
         differences[:] = 0
         rectangle = rectangles[square]
@@ -392,6 +439,7 @@ def visible_integrals(
                                     known, surest, fine, fines, x, y, shift, columns, scratch, met, lists, reached
                                 ):
                                     lists = longer(lists)
+                                sort_full_lines(reached, lists, packs)
                                 add_shadow(reached, weights[square, i, j], lists, differences)
         sum_rows(differences, weights[square].sum() * lines, scales[square], result[square])
 
@@ -494,7 +542,7 @@ def hidden_samples(axes, spread, normals, sides, ends, cone, directions, slopes,
     """
     chosen, reached = np.empty((2, len(ends)), np.int32), np.zeros(2, np.int64)
     lists, kept, sines = empty_lists(result.shape[1] // columns), np.empty(len(axes), np.int64), np.empty(len(axes))
-    keeps = 0
+    keeps, packs = 0, np.empty((2, COUNTED), np.int64)
     for cluster in range(len(axes)):
         if may_turn(axes, cluster, spread[cluster] + cone[3], cone):
             kept[keeps] = cluster
@@ -509,4 +557,5 @@ def hidden_samples(axes, spread, normals, sides, ends, cone, directions, slopes,
         reached[0], reached[1] = len(lists[0]), 0
         while not cross_centers(ends, chosen, found, x, y, columns, lists, reached):
             lists = longer(lists)
+        sort_full_lines(reached, lists, packs)
         fill_lines(reached, columns, lists, result[numbers[k]])

@@ -15,6 +15,7 @@ from torchlight.geometry.visibility import LIFT, OcclusionTest, scene_occlusion
 SUBPOINTS = 4  # along a footprint's edge, when asking whether all of it is seen
 MAX_SUBPOINTS = 16
 SKY_DIRECTIONS = 64
+ASKED_TOGETHER = 4
 POINTS_PER_CALL = 1_000_000
 FOLD_COSINE = 1.0 - 1e-6  # a pixel must look back at the point it came from to within 0.08 degrees
 
@@ -75,15 +76,23 @@ def stands_on(scene: Scene, test: OcclusionTest, points: Float[Tensor, "points 3
     That is: no light reaches the point from any of `SKY_DIRECTIONS` directions, and the surface winds round it (the
     signed number of faces above it is not 0), so that a plate or a lid that hovers over the plane does not count.
     """
-    dark = torch.zeros(len(points), dtype=torch.bool)
-    directions = spiral_directions(SKY_DIRECTIONS)
-    step = POINTS_PER_CALL // SKY_DIRECTIONS
-    still = np.zeros((SKY_DIRECTIONS, 2))
-    for start in range(0, len(points), step):
-        part = points[start : start + step].numpy()
-        dark[start : start + step] = torch.from_numpy(test.hidden_on_plane(part, directions, still).all(axis=0))
-    dark[dark.clone()] = winding_above(scene.triangles, points[dark][:, :2], LIFT / test.frame.scale) != 0
-    return dark
+    directions, dark = spiral_directions(SKY_DIRECTIONS), torch.arange(len(points))
+    for start in range(0, SKY_DIRECTIONS, ASKED_TOGETHER):  # a point that one direction reaches is not asked again
+        dark = dark[unlit(test, points[dark], directions[start : start + ASKED_TOGETHER])]
+    under = winding_above(scene.triangles, points[dark][:, :2], LIFT / test.frame.scale) != 0
+    result = torch.zeros(len(points), dtype=torch.bool)
+    result[dark[under]] = True
+    return result
+
+
+def unlit(
+    test: OcclusionTest, points: Float[Tensor, "points 3"], directions: Float[np.ndarray, "directions 3"]
+) -> Bool[Tensor, " points"]:
+    """Returns which plane points an occluder hides from every direction."""
+    step = POINTS_PER_CALL // len(directions)
+    still = np.zeros((len(directions), 2))
+    parts = [test.hidden_on_plane(part.numpy(), directions, still).all(axis=0) for part in points.split(step)]
+    return torch.from_numpy(np.concatenate(parts) if parts else np.zeros(0, dtype=bool))
 
 
 def spiral_directions(count: int) -> np.ndarray:
