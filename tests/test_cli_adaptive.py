@@ -138,8 +138,10 @@ def test_it_is_what_everyone_gets_who_names_no_method(tmp_path: Path, monkeypatc
     divided = tree.level[tree.supports][(stored["fate"] == Fate.RESOLVED).any(dim=0)]
     assert (divided >= 4).any()  # finer than any texel of the dense transport
     scene = load_scene(file)
-    found = estimate(linearize(read_photo(photo), scene), scene, solver=AdaptiveHaar(noise=0.0016))
+    found = estimate(linearize(read_photo(photo), scene), scene, solver=AdaptiveHaar())
     assert found.refinement is not None
+    assert found.noise is not None
+    assert 0.4 / 255 <= found.noise.item() == pytest.approx(result["noise"])
     assert torch.equal(found.refinement.kept, stored["kept"])
     assert_close(found.solution.coefficients, stored["coefficients"], rtol=1e-4, atol=1e-4)
 

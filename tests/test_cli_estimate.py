@@ -187,7 +187,8 @@ def test_no_other_keys_and_times_by_stage(made: Made) -> None:
         *("coefficients", "nonzero", "nonnegative", "status", "steps", "kkt_residual", "gap", "peak_direction"),
         *("peak_share", "peaks", "reference", "units", "light_is", "length_unit", "convention", "photo_sha256"),
         *("scene_sha256", "versions", "preview_clipped_flux", "functions", "regions", "fates", "exposure"),
-        *("near_light", "occluder_albedo", "placement", "camera", "rejected", "saturated_samples"),
+        *("near_light", "occluder_albedo", "light_plane", "placement", "camera", "rejected", "saturated_samples"),
+        *("noise", "warnings"),
     }
     seconds = strict_json(made.folder / "timing.json")["seconds"]
     assert list(seconds) == ["scene", "transport", "photograph", "solve"]
@@ -593,7 +594,7 @@ def test_bad_scenes(tmp_path: Path, case: str) -> None:
 def test_a_transport_beyond_the_budget_is_refused_before_any_ray(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("torchlight.cli.estimate.visible_part", full_disk)
+    monkeypatch.setattr("torchlight.batch.scenes.visible_part", full_disk)
     scene = scene_file(tmp_path, CHANGED("[16, 16]", "[1000, 1000]"))
     ran = run(
         "estimate", scene, png(tmp_path / "p.png"), "--out", tmp_path / "out", "--method", "texels", "--resolution", 32

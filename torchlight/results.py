@@ -25,10 +25,11 @@ from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.peaks import Peaks
+from torchlight.light_plane import LightPlane
 from torchlight.near_light.verdict import NearLight
 from torchlight.photo.observation import Observation, Rejection
 from torchlight.pipeline import Estimate
-from torchlight.placement import Placement
+from torchlight.placement.report import Placement
 from torchlight.solvers import Status
 
 CONVENTION = "torchlight: Z up, row 0 = zenith, image centre looks along +X (Blender's lat-long)"
@@ -61,6 +62,7 @@ class Provenance:
         placement: how far the object was moved; None where that was not asked for.
         camera: of the photograph; None where it is rectified.
         near: what the photograph tells of the distance of its light; None where that was not asked or cannot be told.
+        warnings: what is to be said of the photograph, one line each.
     """
 
     scene_sha256: str
@@ -73,6 +75,7 @@ class Provenance:
     placement: Placement | None = None
     camera: Camera | None = None
     near: NearLight | None = None
+    warnings: tuple[str, ...] = ()
 
 
 def select(estimate: Estimate, item: int) -> Estimate:
@@ -80,14 +83,21 @@ def select(estimate: Estimate, item: int) -> Estimate:
     solution = estimate.solution
     fields = ("coefficients", "status", "steps", "relative_residual", "kkt_residual", "gap")
     return Estimate(
-        light=EnvironmentMap(estimate.light.radiance[item], bool((estimate.light.radiance[item] >= 0).all())),
+        light=light_of(estimate.light, item),
         solution=replace(solution, **{name: getattr(solution, name)[item] for name in fields}),
         basis=estimate.basis,
         observation=of_item(estimate.observation, item),
         predicted=estimate.predicted[item],
         peaks=Peaks(estimate.peaks.directions[item], estimate.peaks.shares[item]),
         refinement=None if estimate.refinement is None else of_photo(estimate.refinement, item),
+        noise=None if estimate.noise is None else estimate.noise[item],
     )
+
+
+def light_of(light: EnvironmentMap, item: int) -> EnvironmentMap:
+    """Returns the light of one photograph of a batch."""
+    radiance = light.radiance[item]
+    return replace(light, radiance=radiance, nonnegative=bool((radiance >= 0).all()))
 
 
 def of_item(observation: Observation, item: int) -> Observation:
@@ -102,34 +112,54 @@ def of_photo(refinement: Refinement, item: int) -> Refinement:
 
 
 def write_result(
-    folder: Path, estimate: Estimate, scene: Scene, provenance: Provenance, overwrite: bool = False
+    folder: Path,
+    estimate: Estimate,
+    scene: Scene,
+    provenance: Provenance,
+    overwrite: bool = False,
+    pictures: Mapping[str, bytes] | None = None,
 ) -> dict[str, Any]:
     """Writes the folder of one photograph and returns what result.json holds.
 
-    light.exr, light.hdr and light.png (the light), fit.png, estimate.safetensors, result.json, timing.json; of the
-    adaptive method also refinement.png.
+    light.exr, light.hdr and light.png (the light), the pictures, estimate.safetensors, result.json, timing.json.
+
+    Args:
+        folder: to write.
+        estimate: of one photograph.
+        scene: of the photograph.
+        provenance: where the result comes from.
+        overwrite: replace an existing folder.
+        pictures: PNG files by name; None = `evidence`.
 
     Raises:
         FormatError: the folder exists and `overwrite` is False, or it cannot be written.
     """
     preview = figures.preview(estimate.light)
     result = {**summary(estimate, scene, provenance), "preview_clipped_flux": preview.clipped_flux}
-    title = (
-        f"{one_line(Path(provenance.photo).name, 80)}: RMS {result['rms_255']:.2f} of 255, {result['visible']} samples"
-    )
-    fit = figures.fit_picture(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)
+    pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in ("method", "resolution", "photo_sha256", "scene_sha256", "light_is")}
         write_light(partial / "light.exr", estimate.light, metadata)
         write_light(partial / "light.hdr", estimate.light, {})
         write_atomically(partial / "light.png", preview.png)
-        write_atomically(partial / "fit.png", fit)
-        if estimate.refinement is not None:
-            write_atomically(partial / "refinement.png", fates_picture(estimate.refinement, estimate.basis.resolution))
+        for name, picture in pictures.items():
+            write_atomically(partial / name, picture)
         write_atomically(partial / "estimate.safetensors", save(tensors(estimate)))
         write_json(partial / "timing.json", {"seconds": dict(provenance.seconds)})
         write_json(partial / "result.json", result)
     return result
+
+
+def evidence(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[str, bytes]:
+    """Returns the pictures of an estimate by file name: fit.png and, of the adaptive method, refinement.png."""
+    rms, used = number(estimate.rms_255), visibility(estimate.observation)["visible"]
+    title = f"{one_line(Path(provenance.photo).name, 80)}: RMS {rms:.2f} of 255, {used} samples"
+    drawn = {
+        "fit.png": figures.fit_picture(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)
+    }
+    if estimate.refinement is not None:
+        drawn["refinement.png"] = fates_picture(estimate.refinement, estimate.basis.resolution)
+    return drawn
 
 
 def tensors(estimate: Estimate) -> dict[str, Tensor]:
@@ -162,11 +192,13 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         **found_light(estimate, provenance.method, provenance.solver),
         "reference": scene.reference,
         "occluder_albedo": scene.occluder_albedo,
+        "light_plane": stands(estimate.light.plane, provenance.near),
         "units": "relative",
         "light_is": light_is(scene),
         "exposure": recorded(provenance.exif),
         "camera": seen_from(provenance.camera),
         "near_light": distance_of(provenance.near),
+        "warnings": list(provenance.warnings),
         "placement": None if provenance.placement is None else asdict(provenance.placement),
         "length_unit": scene.units,
         "convention": CONVENTION,
@@ -188,6 +220,7 @@ def found_light(estimate: Estimate, method: str, solver: str) -> dict[str, Any]:
         "coefficients": estimate.basis.size,
         "nonzero": ((coefficients.abs() > ZERO * largest).sum(dim=-1)).tolist(),
         **size_of_light(estimate.refinement, estimate.basis.resolution),
+        "noise": None if estimate.noise is None else number(estimate.noise),
         "nonnegative": estimate.light.nonnegative,
         "status": [Status(value).name.lower() for value in solution.status.tolist()],
         "steps": solution.steps.tolist(),
@@ -250,6 +283,13 @@ def distance_of(near: NearLight | None) -> dict[str, Any] | None:
         "distance": near.distance,
         "height": near.height,
     }
+
+
+def stands(plane: LightPlane | None, near: NearLight | None) -> dict[str, Any] | None:
+    """Returns where the light was taken to stand, and whether that was found in the photograph; None = far away."""
+    if plane is None:
+        return None
+    return {**asdict(plane), "estimated": near is not None and near.height == plane.height}
 
 
 def seen_from(camera: Camera | None) -> dict[str, Any] | None:

@@ -1,7 +1,8 @@
-"""The command line: `torchlight estimate|joint|analyze|render|evaluate|merge|target|calibrate|cache|doctor|demo`."""
+"""The command line: `torchlight <command>`, one file per command."""
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import sys
@@ -9,11 +10,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from io import TextIOWrapper
+from types import ModuleType
 
 import tyro
 
 from torchlight.cli import arguments
-from torchlight.cli.usage import UsageError, complaint_in_one_line
+from torchlight.cli.config_option import expanded
+from torchlight.cli.usage import complaint_in_one_line
 from torchlight.errors import TorchlightError
 
 # Read when torch starts its threads. Their default is to spin while they wait, which on a machine that does anything
@@ -22,6 +25,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 NOTHING_STARTED = 2
 INTERRUPTED = 130
+REFINE_POSE = ("--refine-pose", "--checks.refine-pose")
 PIPE_CLOSED = 141
 DESCRIPTION = "Recovers light from shadows: photographs of a known object on a plane in, an HDR environment map out."
 
@@ -32,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     try:
         try:
             code = run(parse(argv))
-        except UsageError as error:
+        except TorchlightError as error:
             fail(str(error))
             code = NOTHING_STARTED
         finally:
@@ -47,15 +51,26 @@ def parse(argv: Sequence[str] | None) -> arguments.Command:
     """Returns the command that the arguments name; prints help and exits where they ask for it.
 
     Raises:
-        UsageError: one line that says what is wrong with them.
+        TorchlightError: one line that says what is wrong with them, or with the file of --config.
     """
+    words = spelled_out(expanded(sys.argv[1:] if argv is None else argv))
     with complaint_in_one_line():
         return tyro.cli(
-            tyro.conf.OmitArgPrefixes[tyro.conf.FlagCreatePairsOff[arguments.Command]],  # pyright: ignore
-            args=argv,
+            tyro.conf.FlagCreatePairsOff[arguments.Command],  # pyright: ignore
+            args=words,
             prog="torchlight",
             description=DESCRIPTION,
         )
+
+
+def spelled_out(argv: Sequence[str]) -> list[str]:
+    """Returns the arguments with `shadow` after a bare `--refine-pose`."""
+    words = list(argv)
+    if words[:1] not in (["estimate"], ["batch"], ["config"]):
+        return words
+    following = zip(words, [*words, ""][1:], strict=True)
+    bare = [word in REFINE_POSE and after not in ("shadow", "silhouette", "None") for word, after in following]
+    return [part for word, alone in zip(words, bare, strict=True) for part in ([word, "shadow"] if alone else [word])]
 
 
 def run(command: arguments.Command) -> int:
@@ -65,7 +80,7 @@ def run(command: arguments.Command) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may hold what the terminal cannot show
     try:
         with messages_on_standard_error():
-            return import_module(f"torchlight.cli.{type(command).__name__.lower()}").run(command)
+            return loaded(type(command).__name__.lower()).run(command)
     except BrokenPipeError:
         raise
     except (TorchlightError, OSError) as error:
@@ -74,6 +89,18 @@ def run(command: arguments.Command) -> int:
     except KeyboardInterrupt:
         fail("interrupted; what was finished is complete, the rest was not written")
         return INTERRUPTED
+
+
+def loaded(name: str) -> ModuleType:
+    """Returns a command's module with all that it needs.
+
+    What importing makes stays to the end: the garbage collector need not look through it, neither meanwhile nor later.
+    """
+    gc.disable()
+    module = import_module(f"torchlight.cli.{name}")
+    gc.freeze()
+    gc.enable()
+    return module
 
 
 def fail(message: str) -> None:

@@ -12,6 +12,8 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import arg
 
+from torchlight import config as tree
+
 Convention = Literal["torchlight", "blender", "openexr", "usd", "mitsuba", "skylibs", "threejs"]
 
 
@@ -28,36 +30,80 @@ class Estimate:
     """Photographs of that scene: PNG, JPEG, TIFF, EXR or HDR."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder that receives one folder per photograph."""
-    method: Annotated[Literal["texels", "haar", "adaptive", "sh"], arg(aliases=["--basis"])] = "adaptive"
-    """What light is made of. adaptive: few Haar wavelets, as fine as the photograph tells. texels: all texels of a cube
-    map. haar: all wavelets on them. sh: spherical harmonics."""
-    resolution: int | None = None
-    """Texels along a cube map face's edge, a power of two; under --method adaptive those of the finest level, up to 512
-    (for a sun). Default: 128 under adaptive (16 with --rule paper), 32 under sh, else 16."""
-    degree: int = 5
-    """Largest degree of spherical harmonics, (degree + 1)^2 coefficients; with --method sh."""
-    functions: int = 450
-    """Most Haar functions per channel; with --method adaptive."""
-    rule: Literal["gain", "paper"] = "gain"
-    """gain: best first, by what a function explains. paper: level by level, as published; with --method adaptive."""
-    noise: float = 0.0016
-    """Standard deviation of the noise per sample, as a share of the brightest sample; with --method adaptive."""
-    solver: Literal["nnls", "ridge", "adam"] = "nnls"
-    """nnls: exact, radiance nowhere negative. ridge: least squares, unconstrained. adam: projected gradients."""
-    robust: bool = False
-    """Let go of samples that no light explains, such as thin foreign shadows: five solves with Huber's weights. They
-    are grey in fit.png."""
-    refine_pose: bool = False
-    """Move and turn the occluders to where their shadow says they stand, photograph by photograph, and say by how much;
-    a moved object has its own transport. See docs/scenes.md."""
-    skip_near_test: bool = False
-    """Do not ask whether the light is near, which takes a second or more per photograph. See docs/near_light.md."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to solve; shadows are always found on the CPU."""
     overwrite: bool = False
     """Replace existing results."""
-    no_cache: bool = False
-    """Neither read nor write the scene's transport on disk."""
+    config: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Settings (YAML), as torchlight config show prints them; options given beside it count."""
+    settings: Annotated[tree.Config, arg(name="")] = tree.DEFAULTS
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Recover the light from thousands of photographs; run it again and it goes on where it stopped.
+
+    Writes OUT/photos/<name>/ per photograph as estimate does, OUT/results.csv and OUT/results.jsonl. See docs/batch.md.
+    Exit code: 0 all done, 1 some failed (the others are complete) or are pending, 2 nothing could start.
+    """
+
+    sources: Annotated[tuple[str, ...], tyro.conf.Positional, arg(metavar="MANIFEST|PHOTO [PHOTO ...]")] = ()
+    """A manifest (.jsonl or .csv) that names photographs with their scenes, or photographs and patterns such as
+    'photos/*.jpg' (quoted)."""
+    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Folder of the results."""
+    scene: Annotated[Path | None, arg(metavar="SCENE")] = None
+    """Scene file of the photographs that name none."""
+    workers: int | None = None
+    """Processes, each of one thread; 0 = in this process. Default: one per processor."""
+    shard: Annotated[str, arg(metavar="i/n")] = "1/1"
+    """Do the i-th of n parts, counted from 1; other machines do the others, into the same folder."""
+    retry_failed: bool = False
+    """Do photographs that failed before again."""
+    engine: Literal["local", "ray"] = "local"
+    """local: processes of this machine. ray: a Ray cluster (extra cluster)."""
+    address: Annotated[str | None, arg(metavar="HOST:PORT")] = None
+    """Of the Ray cluster; default: one on this machine, of --workers workers."""
+    merge: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Do nothing but write the tables of DIR, whose shards have ended or are at work."""
+    config: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Settings (YAML), as torchlight config show prints them; options given beside it count."""
+    settings: Annotated[tree.Config, arg(name="")] = tree.DEFAULTS
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Try settings by grid, at random or with Optuna, and say which find the light best; run again, it goes on.
+
+    Writes OUT/trials/<name>/trial.json per trial, OUT/results.csv and OUT/results.jsonl, OUT/plots. See docs/sweeps.md.
+    Exit code: 0 all done, 1 some trials failed (the others are complete), 2 nothing could start.
+    """
+
+    sweep: Annotated[Path, tyro.conf.Positional, arg(metavar="SWEEP.yaml")]
+    """What is tried, and on which photographs; configs/sweeps holds some."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder of the results."""
+    data: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Folder that the file's lights are relative to. Default: that of the file."""
+    workers: int | None = None
+    """Processes, each of one thread; 0 = in this process. Default: one per processor."""
+    retry_failed: bool = False
+    """Do trials that failed before again."""
+    tensorboard: bool = False
+    """Write OUT/tensorboard/<name> per trial too (extra tensorboard)."""
+    engine: Literal["local", "ray"] = "local"
+    """local: processes of this machine. ray: a Ray cluster (extra cluster)."""
+    address: Annotated[str | None, arg(metavar="HOST:PORT")] = None
+    """Of the Ray cluster; default: one on this machine, of --workers workers."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Print every setting with its value, as YAML that --config reads."""
+
+    action: Annotated[Literal["show"], tyro.conf.Positional]
+    """What to do."""
+    config: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Settings (YAML) to start from."""
+    settings: Annotated[tree.Config, arg(name="")] = tree.DEFAULTS
 
 
 @dataclass(frozen=True)
@@ -224,12 +270,13 @@ class Joint:
     """Largest degree of spherical harmonics; with --method sh."""
     functions: int = 450
     """Most Haar functions per channel; with --method adaptive."""
-    noise: float = 0.0016
-    """Standard deviation of the noise per sample, as a share of the brightest; with --method adaptive."""
+    noise: float | None = None
+    """Standard deviation of the noise per sample, as a share of the brightest, of the photograph that counts most; with
+    --method adaptive. Default: as measured in the photographs, at least 0.0016."""
     robust: bool = False
     """Let go of samples that no light explains. They are grey in fit_*.png."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to solve; shadows are always found on the CPU."""
+    """Where to solve; shadows are always found on the CPU, and --method adaptive solves there. See docs/gpu.md."""
     overwrite: bool = False
     """Replace existing results."""
     no_cache: bool = False
@@ -266,6 +313,8 @@ class Demo:
 
 Command = (
     Annotated[Estimate, tyro.conf.subcommand("estimate")]
+    | Annotated[Batch, tyro.conf.subcommand("batch")]
+    | Annotated[Sweep, tyro.conf.subcommand("sweep")]
     | Annotated[Analyze, tyro.conf.subcommand("analyze")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
@@ -273,6 +322,7 @@ Command = (
     | Annotated[Target, tyro.conf.subcommand("target")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Joint, tyro.conf.subcommand("joint")]
+    | Annotated[Config, tyro.conf.subcommand("config")]
     | Annotated[Cache, tyro.conf.subcommand("cache")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
