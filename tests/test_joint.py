@@ -30,6 +30,7 @@ from torchlight.joint import (
 from torchlight.light import latlong
 from torchlight.light.bases import Texels
 from torchlight.light.environment import EnvironmentMap
+from torchlight.photo.noise import brightest_used, noise_share
 from torchlight.photo.observation import Observation, Rejection, linear_photo
 from torchlight.pipeline import explain
 from torchlight.relighting import irradiance
@@ -169,6 +170,29 @@ def test_a_noisier_photograph_counts_less() -> None:
     assert weights[1].max().item() == pytest.approx((found.scales.noise[0] / found.scales.noise[1]).item() ** 2)
     shares = [n * truth(k).max() / bright(Observation(truth(k), used(k))) for k, n in enumerate((0.01, 0.05))]
     assert_close(found.scales.noise, torch.stack(shares), rtol=0.1, atol=0)
+
+
+def test_the_adaptive_method_weighs_photographs_by_the_noise_measured_in_each() -> None:
+    """At one exposure: the second, of 0.6 times the exposure, has the deviation n_2 / 0.6."""
+    noisy = [views()[0], View(scene(1), photographed(1, 0.6, 0.05))]
+    found = joint(noisy, AdaptiveHaar(RESOLUTION))
+    own = [noise_share(one.observation, RECEIVER.samples) * brightest_used(one.observation) for one in noisy]
+    least, other = own[0], own[1] / found.scales.values[1]
+    assert_close(found.trust, torch.stack([torch.ones_like(least), (least / other) ** 2]))
+    assert found.trust[1] < 0.1
+    assert found.estimate.noise is not None
+    assert_close(found.estimate.noise, least / brightest_used(found.estimate.observation), rtol=1e-5, atol=0)
+    assert_close(found.estimate.observation.weights[RECEIVER.points :], used(1) * found.trust[1])
+
+
+def test_a_photograph_that_the_light_does_not_explain_counts_less() -> None:
+    """A block that stands elsewhere than its scene says, beside one that stands where it should."""
+    misplaced = View(scene(1), photographed(2, 0.6, 0.01))
+    found = joint([views()[0], misplaced], AdaptiveHaar(RESOLUTION))
+    plain = joint(views(), AdaptiveHaar(RESOLUTION))
+    assert found.trust[0] == 1.0
+    assert found.trust[1] < 0.3
+    assert_close(plain.trust, torch.ones(2, dtype=torch.float64), rtol=0, atol=0.3)
 
 
 def test_a_foreign_shadow_is_let_go_of() -> None:

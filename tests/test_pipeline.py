@@ -249,7 +249,7 @@ def test_methods_that_do_not_fit_are_refused(transfer: Transfer) -> None:
 def test_other_methods_take_the_dense_transport_of_their_basis(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
 
-    def noted(scene: Scene, n: int, s: int, progress: Progress | None = None) -> Transfer:
+    def noted(scene: Scene, n: int, s: int, progress: Progress | None = None, device: object = "cpu") -> Transfer:
         seen.append(n)
         return Transfer(torch.zeros(scene.receiver.points, cubemap.texel_count(n)), n)
 
@@ -407,9 +407,9 @@ def small_scene() -> Scene:
 def test_a_transport_is_computed_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[int] = []
 
-    def counted(scene: Scene, resolution: int, subsamples: int, progress: Progress | None = None) -> Transfer:
+    def counted(scene: Scene, resolution: int, subsamples: int, *rest: object) -> Transfer:
         calls.append(subsamples)
-        return transport(scene, resolution, subsamples, progress)
+        return transport(scene, resolution, subsamples)
 
     monkeypatch.setattr(precomputation, "transport", counted)
     first, second = (precompute(small_scene(), 2, 4) for _ in range(2))
@@ -444,7 +444,7 @@ def test_the_default_sampling_has_192_directions_along_a_face(
 ) -> None:
     seen: list[tuple[int, int]] = []
 
-    def noted(scene: Scene, n: int, s: int, progress: Progress | None = None) -> Transfer:
+    def noted(scene: Scene, n: int, s: int, progress: Progress | None = None, device: object = "cpu") -> Transfer:
         seen.append((n, s))
         return Transfer(torch.zeros(1, cubemap.texel_count(n)), n)
 

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parent.parent
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHELL = {"console", "bash", "sh", "shell"}
 LANGUAGES = {*SHELL, "python", "yaml", "json", "text", "bibtex", "toml"}
-OTHER_PROGRAMS = {"git", "cd", "pip", "export"}  # commands that are not ours to check
+OTHER_PROGRAMS = {"git", "cd", "pip", "export", "pytest"}  # commands that are not ours to check
 FLAG = re.compile(r"(?<![\w-])--?[A-Za-z][\w-]*")
 FENCE = re.compile(r"^(?P<indent> *)```(?P<language>[^\n`]*)\n(?P<body>.*?)^(?P=indent)```", re.MULTILINE | re.DOTALL)
 

@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from torchlight import batch as batch
     from torchlight.camera import Camera as Camera
     from torchlight.geometry.receiver import Receiver as Receiver
     from torchlight.geometry.scene import Scene as Scene
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from torchlight.solvers import NonnegativeSynthesis as NonnegativeSynthesis
     from torchlight.solvers import ProjectedAdam as ProjectedAdam
     from torchlight.solvers import Ridge as Ridge
+    from torchlight.streaming import stream as stream
     from torchlight.transfer import Transfer as Transfer
 
 # name -> module: imported at first use, because importing torch takes a second that `--help` need not spend
@@ -76,6 +78,7 @@ _HOME = {
     "read_photo": "io.images",
     "relight": "relighting",
     "solve": "inversion.linear",
+    "stream": "streaming",
     "write_light": "io.lights",
 }
 
@@ -98,6 +101,7 @@ __all__ = [
     "SphericalHarmonics",
     "Texels",
     "Transfer",
+    "batch",
     "columns_for",
     "estimate",
     "irradiance",
@@ -109,11 +113,14 @@ __all__ = [
     "read_photo",
     "relight",
     "solve",
+    "stream",
     "write_light",
 ]
 
 
 def __getattr__(name: str) -> Any:
+    if name == "batch":
+        return import_module("torchlight.batch")
     if name not in _HOME:
         raise AttributeError(f"module 'torchlight' has no attribute '{name}'")
     value = getattr(import_module(f"torchlight.{_HOME[name]}"), name)
@@ -122,4 +129,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME})
+    return sorted({*globals(), *_HOME, "batch"})

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
-from kornia.geometry.calibration import distort_points, undistort_points
 from torch import Tensor
 
 from torchlight.errors import CalibrationError
@@ -130,6 +129,8 @@ def to_camera(camera: Camera, points: Float[Tensor, "*batch 3"]) -> Float[Tensor
 
 def project(camera: Camera, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
     """Returns the distorted pixel of each world point; NaN where the point is not in front of the camera."""
+    from kornia.geometry.calibration import distort_points
+
     local = to_camera(camera, points).reshape(-1, 3)
     depth = local[:, 2:]
     in_front = depth > 0
@@ -142,6 +143,8 @@ def project(camera: Camera, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, 
 
 def pixel_directions(camera: Camera, pixels: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3"]:
     """Returns the unit world direction in which each (distorted) pixel looks, away from the camera."""
+    from kornia.geometry.calibration import undistort_points
+
     k = camera.intrinsics.to(pixels)
     flat = pixels.reshape(1, -1, 2)
     ideal = undistort_points(flat, k[None], camera.distortion.to(pixels)[None], num_iters=30)[0]

@@ -6,6 +6,8 @@ side by side, and +z above +x, whose top edge it shares.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
@@ -16,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from torch import Tensor
 
-from torchlight.figures import png_bytes
+from torchlight.figures import add_axes, png_bytes
 from torchlight.inversion.quadtree import Quadtree, quadtree, spread, squares
 from torchlight.inversion.refinement import Fate, Refinement, needed
 from torchlight.light import cubemap
@@ -40,6 +42,8 @@ NAMES = {
 CHANNELS = ("red", "green", "blue")
 PLACES = {"+y": 0, "+x": 1, "-y": 2, "-x": 3, "+z": 1}  # faces to the left of each
 WIDTH, HEIGHT, SIDE_TOP = 4.0, 1.5, 0.5
+FACES_INCHES, CHANNEL_INCHES, LEGEND_INCHES = 2.6, 2.95, 0.45
+HEAD_ROWS, LEAST_ROWS = 1.8, 11.0  # of the table: its head counts as so many; fewer rows are not drawn taller
 
 
 def fates_picture(refinement: Refinement, resolution: int) -> bytes:
@@ -53,18 +57,19 @@ def fates_picture(refinement: Refinement, resolution: int) -> bytes:
     """
     tree = quadtree(resolution)
     channels = refinement.kept.shape[0]
-    figure = Figure(figsize=(11.0, 3.1 * channels), dpi=110, layout="constrained")
-    axes = figure.subplots(channels, 2, squeeze=False, width_ratios=(1.5, 1.0))
-    for channel, (faces, counts) in enumerate(axes):
+    figure = Figure(figsize=(11.0, CHANNEL_INCHES * channels + LEGEND_INCHES), dpi=110)
+    for channel in range(channels):
+        bottom = LEGEND_INCHES + CHANNEL_INCHES * (channels - 1 - channel)
+        faces, counts = (add_axes(figure, x, bottom, width, FACES_INCHES) for x, width in ((0.08, 6.45), (6.6, 4.3)))
         kept, fate = refinement.kept[channel].cpu(), refinement.fate[channel].cpu()
         draw_fates(faces, tree, kept, fate)
         regions = int(refinement.regions[channel])
         name = CHANNELS[channel] if channels == len(CHANNELS) else f"channel {channel}"
-        faces.set_title(f"{name}: {int(kept.sum())} functions, {regions} squares", fontsize=10)
+        faces.set_title(f"{name}: {int(kept.sum())} functions, {regions} squares", fontsize=10, y=1.0)
         draw_counts(counts, fate_counts(tree, kept, fate))
     shown = {Fate(value) for value in refinement.fate.unique().tolist()}
     handles = [Patch(facecolor=COLOURS[fate], edgecolor="0.4", label=NAMES[fate]) for fate in Fate if fate in shown]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=9, frameon=False)
+    figure.legend(handles=handles, loc="lower center", ncols=len(handles), fontsize=9, frameon=False)
     return png_bytes(figure)
 
 
@@ -89,13 +94,15 @@ def draw_counts(axis: Axes, counts: Int[Tensor, "levels fates"]) -> None:
     axis.set_axis_off()
     fates = [fate for fate in Fate if int(counts[:, fate].sum()) > 0]
     head = ["level", *(NAMES[fate].replace(" ", "\n", 1).replace("-", "-\n") for fate in fates)]
-    text = [[str(level), *(str(int(counts[level, fate])) for fate in fates)] for level in range(len(counts))]
-    table = axis.table(cellText=[head, *text], loc="center", cellLoc="center", edges="horizontal")
-    table.auto_set_font_size(False)
-    table.set_fontsize(8)
-    for (row, _), cell in table.get_celld().items():
-        cell.set_height(0.16 if row == 0 else 0.09)
-        cell.set_edgecolor("0.8")
+    height = HEAD_ROWS + len(counts)
+    axis.set_xlim(0, len(head))
+    axis.set_ylim(max(height, LEAST_ROWS), 0)  # rows are counted downwards
+    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8}
+    for column, name in enumerate(head):
+        axis.text(column + 0.5, HEAD_ROWS / 2, name, **style)
+        for level, count in enumerate(counts[:, fates[column - 1]].tolist() if column else range(len(counts))):
+            axis.text(column + 0.5, HEAD_ROWS + level + 0.5, str(count), **style)
+    axis.hlines([0, *(HEAD_ROWS + level for level in range(len(counts) + 1))], 0, len(head), color="0.8", linewidth=1)
 
 
 def fate_counts(

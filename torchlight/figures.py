@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +12,6 @@ import matplotlib as mpl
 import numpy as np
 import torch
 from jaxtyping import Float
-from kornia.color import linear_rgb_to_rgb
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
@@ -22,6 +22,7 @@ from torch import Tensor
 from torchlight.geometry.receiver import Receiver
 from torchlight.light.environment import EnvironmentMap, flux, luminance
 from torchlight.photo.observation import Observation, Rejection
+from torchlight.photo.radiometry import encode
 
 UNUSED = 0.55  # grey of samples that were not used
 REJECTED = {  # after Okabe and Ito: told apart with every common colour blindness
@@ -33,7 +34,7 @@ PREVIEW_PERCENTILE = 98.0
 PREVIEW_LEVEL = 0.8  # linear value given to that percentile of the pixels that hold light
 DIVERGING = "PuOr"  # readable with every common colour blindness
 MIN_SCALE_255 = 1.0
-PANEL_INCHES = 3.6
+PANEL_INCHES, FOOT_INCHES, HEAD_INCHES, LEGEND_INCHES = 3.5, 0.62, 0.72, 0.3
 
 
 @dataclass(frozen=True)
@@ -69,39 +70,59 @@ def fit_picture(
     white = observation.samples[:, used].max().item()
     difference = luminance(predicted - observation.samples) * (255.0 / white)
     limit = max(MIN_SCALE_255, float(torch.quantile(difference[used].abs().double(), 0.998)))
-    aspect = min(max(receiver.size[1] / receiver.size[0], 0.25), 2.5)
-    figure = Figure(figsize=(13.5, PANEL_INCHES * aspect + 1.2), dpi=110, layout="constrained")
-    axes = figure.subplots(1, 3, sharex=True, sharey=True)
+    side = _panel_inches(receiver)
+    handles, layers = _rejected(observation, receiver)
+    foot = FOOT_INCHES + (LEGEND_INCHES if handles else 0.0)
+    figure = Figure(figsize=(13.5, foot + side[1] + HEAD_INCHES), dpi=110)
+    axes = [add_axes(figure, 0.75 + 4.05 * place, foot, *side) for place in range(3)]
     extent = _extent(receiver)
     for axis, values, name in zip(axes[:2], (observation.samples, predicted), names, strict=True):
         axis.imshow(_picture(values / white, used, receiver), extent=extent, interpolation="nearest")
         _label(axis, name, units)
-    _draw_rejected((axes[0], axes[2]), observation, receiver)
+    for axis, layer in itertools.product((axes[0], axes[2]), layers):
+        axis.imshow(layer, extent=extent, interpolation="nearest", zorder=2)
     shown = torch.where(used, difference, torch.nan).reshape(receiver.samples[::-1]).flip(0).numpy(force=True)
     colours = mpl.colormaps[DIVERGING].with_extremes(bad=(UNUSED, UNUSED, UNUSED))
     image = axes[2].imshow(shown, extent=extent, cmap=colours, vmin=-limit, vmax=limit, interpolation="nearest")
     _label(axes[2], f"{names[1]} - {names[0]} (luminance)", units)
-    figure.colorbar(image, ax=axes[2], shrink=0.85, extend="both", label="255ths of the brightest sample")
-    figure.suptitle(title, fontsize=11, parse_math=False)
+    for axis in axes[1:]:
+        axis.tick_params(labelleft=False)
+    beside = add_axes(figure, 12.55, foot + 0.075 * side[1], 0.17, 0.85 * side[1])
+    figure.colorbar(image, cax=beside, extend="both", label="255ths of the brightest sample")
+    if handles:
+        figure.legend(handles=handles, loc="lower left", ncols=len(handles), fontsize=9, frameon=False)
+    figure.text(0.5, 1 - 0.18 / figure.get_figheight(), title, ha="center", va="center", fontsize=11, parse_math=False)
     return png_bytes(figure)
 
 
-def _draw_rejected(axes: Sequence[Axes], observation: Observation, receiver: Receiver) -> None:
-    """Colours the samples that were left out, above everything, and says how many there are below the first axis."""
+def add_axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Returns new axes, placed in inches from a figure's lower left corner.
+
+    Matplotlib's own layouts measure every label first, which takes as long as drawing it.
+    """
+    across, up = figure.get_size_inches()
+    return figure.add_axes((left / across, bottom / up, width / across, height / up))
+
+
+def _panel_inches(receiver: Receiver) -> tuple[float, float]:
+    """Returns width and height of a picture of the receiver, except where it is very long or very narrow."""
+    return PANEL_INCHES, PANEL_INCHES * min(max(receiver.size[1] / receiver.size[0], 0.25), 2.5)
+
+
+def _rejected(observation: Observation, receiver: Receiver) -> tuple[list[Patch], list[np.ndarray]]:
+    """Returns legend entries that say how many samples were left out and why, and a coloured layer for each."""
     columns, rows = receiver.samples
     grid = observation.rejections.reshape(rows, columns).flip(0).cpu().numpy()
-    handles = []
+    handles, layers = [], []
     for why, (colour, name) in REJECTED.items():
         count = int((grid == why).sum())
         if count == 0:
             continue
         layer = np.zeros((rows, columns, 4))
         layer[grid == why] = to_rgba(colour)
-        for axis in axes:
-            axis.imshow(layer, extent=_extent(receiver), interpolation="nearest", zorder=2)
+        layers.append(layer)
         handles.append(Patch(facecolor=colour, edgecolor="0.4", label=f"{name}: {count} samples"))
-    if handles:
-        axes[0].figure.legend(handles=handles, loc="outside lower left", ncols=len(handles), fontsize=9, frameon=False)
+    return handles, layers
 
 
 def preview(environment: EnvironmentMap) -> Preview:
@@ -120,7 +141,7 @@ def preview(environment: EnvironmentMap) -> Preview:
 
 def to_srgb8(linear: Float[Tensor, "3 height width"]) -> np.ndarray:
     """Returns linear values as 8-bit sRGB, [height, width, 3]; clipped to [0, 1]."""
-    encoded = linear_rgb_to_rgb(linear.clamp(0, 1))
+    encoded = encode(linear.clamp(0, 1), "srgb")
     return (encoded * 255).round().byte().permute(1, 2, 0).contiguous().numpy(force=True)
 
 
@@ -144,7 +165,7 @@ def png_bytes(figure: Figure) -> bytes:
 
 def _picture(values: Float[Tensor, "3 points"], used: Tensor, receiver: Receiver) -> np.ndarray:
     columns, rows = receiver.samples
-    encoded = linear_rgb_to_rgb(values.clamp(0, 1).reshape(3, rows, columns)).reshape(3, -1)
+    encoded = encode(values.clamp(0, 1).reshape(3, rows, columns), "srgb").reshape(3, -1)
     shown = torch.where(used, encoded, torch.full_like(encoded, UNUSED)).reshape(3, rows, columns)
     return shown.flip(1).permute(1, 2, 0).numpy(force=True)
 
@@ -155,7 +176,8 @@ def _extent(receiver: Receiver) -> tuple[float, float, float, float]:
 
 
 def _label(axis: Axes, title: str, units: str) -> None:
-    axis.set_title(title)
+    axis.set_title(title, y=1.0)  # stated, or Matplotlib measures all labels to find it
+    axis.locator_params(nbins=5)
     axis.set_xlabel(f"x [{units}]", parse_math=False)
     axis.set_ylabel(f"y [{units}]", parse_math=False)
     axis.set_aspect("equal")

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 
 from torchlight.geometry.contours import scene_contours
-from torchlight.geometry.scene import Scene
+from torchlight.geometry.scene import Scene, shadowing
 from torchlight.inversion.adaptive import AdaptiveHaar
 from torchlight.inversion.nodes import NodeColumns
 from torchlight.io import cache
@@ -31,11 +31,13 @@ def columns_for(
 ) -> Columns:
     """Returns what a solve takes of a scene: its dense transport, or for `AdaptiveHaar` columns on demand beside it.
 
-    Keep it for all photographs of the scene: `NodeColumns` remember what they have cast.
+    Keep it for all photographs of the scene: `NodeColumns` remember what they have cast. A dense transport is made on
+    the device and stays there. What `AdaptiveHaar` takes is on the CPU wherever the photographs are: its trees grow in
+    compiled code, and which squares are cast next depends on what has grown.
     """
     if not isinstance(solver, AdaptiveHaar):
-        return precompute(scene, basis.resolution, use_cache=use_cache, progress=progress).to(device)
-    dense = precompute(scene, solver.dense_resolution, use_cache=use_cache, progress=progress).to(device)
+        return precompute(scene, basis.resolution, use_cache=use_cache, progress=progress, device=device)
+    dense = precompute(scene, solver.dense_resolution, use_cache=use_cache, progress=progress)
     return deepened(scene, dense, solver.max_resolution)
 
 
@@ -46,11 +48,16 @@ def deepened(scene: Scene, dense: Transfer, resolution: int) -> NodeColumns:
 
 
 def fitting(scene: Scene, transfer: Columns, solver: Solver | AdaptiveHaar, device: torch.device) -> Columns:
-    """Returns what the solver takes: a dense transport on the observation's device, deepened where it is too coarse."""
+    """Returns what the solver takes: a dense transport on the observation's device, deepened where it is too coarse.
+
+    That of `AdaptiveHaar` is on the CPU (`columns_for`).
+    """
     if not isinstance(transfer, Transfer):
         return transfer
-    transfer = transfer.to(device=device)
-    if isinstance(solver, AdaptiveHaar) and transfer.resolution < solver.max_resolution:
+    if not isinstance(solver, AdaptiveHaar):
+        return transfer.to(device=device)
+    transfer = transfer.to(device="cpu")
+    if transfer.resolution < solver.max_resolution:
         return deepened(scene, transfer, solver.max_resolution)
     return transfer
 
@@ -61,6 +68,7 @@ def precompute(
     subsamples: int | None = None,
     use_cache: bool = True,
     progress: Progress | None = None,
+    device: torch.device | str = "cpu",
 ) -> Transfer:
     """Returns the transport of a scene, from the disk cache if it is there: the slow part, shared by all photos.
 
@@ -70,15 +78,16 @@ def precompute(
         subsamples: directions along a texel's edge; None = as many as make 192 along a face's edge, at least 2.
         use_cache: False = neither read nor write the cache.
         progress: called with (work done, work).
+        device: where it is made, if it is not in the cache, and put.
     """
     count = subsamples if subsamples is not None else max(2, DIRECTIONS_PER_EDGE // resolution)
     if not use_cache:
-        return transport(scene, resolution, count, progress)
+        return transport(scene, resolution, count, progress, device)
     key = transport_key(scene, resolution, count)
     stored = cache.load(key)
     if stored is not None:
-        return Transfer(stored["transport"], resolution)
-    result = transport(scene, resolution, count, progress)
+        return Transfer(stored["transport"], resolution).to(device)
+    result = transport(scene, resolution, count, progress, device)
     cache.store(key, {"transport": result.transport}, {"algorithm": ALGORITHM, "resolution": str(resolution)})
     return result
 
@@ -88,7 +97,7 @@ def transport_key(scene: Scene, resolution: int, subsamples: int) -> str:
     receiver = scene.receiver
     return cache.content_key(
         {
-            "triangles": scene.triangles,
+            "triangles": shadowing(scene).triangles,
             "center": receiver.center,
             "size": receiver.size,
             "samples": receiver.samples,

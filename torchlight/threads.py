@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from itertools import islice
+from itertools import chain, islice
 from typing import TypeVar
 
 import torch
@@ -39,10 +39,16 @@ def single_threaded() -> Iterator[None]:
 def ordered_map(task: Callable[[Item], Result], items: Iterable[Item], count: int | None = None) -> Iterator[Result]:
     """Yields task(item) for each item, in the items' order, computed on several threads: `thread_count` of them.
 
-    At most two items per thread are in flight, whatever their number; an error or Ctrl-C cancels the rest.
+    At most two items per thread are in flight, whatever their number; an error or Ctrl-C cancels the rest. A single
+    item, or a single thread, needs no other thread and starts none.
     """
     count = thread_count() if count is None else count
     remaining = iter(items)
+    some = list(islice(remaining, 2))
+    remaining = chain(some, remaining)
+    if count == 1 or len(some) < 2:
+        yield from map(task, remaining)
+        return
     with ThreadPoolExecutor(count) as pool:
         try:
             waiting: deque[Future[Result]] = deque(pool.submit(task, item) for item in islice(remaining, 2 * count))

@@ -11,17 +11,14 @@ printed apart.
 
 from __future__ import annotations
 
-import csv
-import os
-import resource
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
 import tyro
+from measuring import OUT, clocked, markdown, save
 from photographs import photographs, scene
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import nnls
@@ -35,55 +32,46 @@ from torchlight.inversion.nodes import TEXEL, NodeColumns, WeightedNodes
 from torchlight.inversion.quadtree import Quadtree
 from torchlight.inversion.refinement import FLOOR, constants, trios
 from torchlight.photo.observation import Observation
+from torchlight.threads import thread_count
 from torchlight.transfer import transport
 
 RESOLUTION, SAMPLES = 16, 64
+NOISE = 0.0016  # of the brightest sample: 8 bits, with a margin
 SIGNS = np.array([[1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]], dtype=float)
 RIDGE = 1e-12
 Fit = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
-def main(data: Path | None = None, count: int = 256, peer: int = 6, out: Path | None = None) -> None:
-    """Prints the table, and writes it as CSV where --out names a file.
+def main(data: Path | None = None, count: int = 256, peer: int = 6, out: Path = OUT) -> None:
+    """Prints the table and writes OUT/adaptive.csv.
 
     Args:
         data: folder with probes/*.hdr to light the photographs with; default: the built-in sky, turned.
         count: how many photographs.
         peer: how many of them the SciPy loop solves.
-        out: CSV file to write.
+        out: where the CSV goes.
     """
-    where, settings = scene(SAMPLES), AdaptiveHaar(RESOLUTION, 120)
+    where, settings = scene(SAMPLES), AdaptiveHaar(RESOLUTION, 120, NOISE)
     observation = photographs(where, count, data)
     rows: list[dict[str, object]] = []
-    start = time.perf_counter()
-    columns = NodeColumns(transport(where, RESOLUTION, 192 // RESOLUTION), RESOLUTION)
-    once = time.perf_counter() - start
+    columns, once = clocked(lambda: NodeColumns(transport(where, RESOLUTION, 192 // RESOLUTION), RESOLUTION))
     solve_adaptive(columns, part(observation, 1), settings)  # the compiler's work is not the solve's
-    threads = torch.get_num_threads()
-    print(f"{os.cpu_count()} processors, {threads} threads; transport of the scene {once:.2f} s, once")
+    print(f"transport of the scene {once.wall:.2f} s, once")
     for some in (count // 4, count // 2, count):
-        start = time.perf_counter()
-        found = solve_adaptive(columns, part(observation, some), settings)
-        seconds = time.perf_counter() - start
-        rows.append({"what": "torchlight", "photographs": some, "ms per photograph": 1e3 * seconds / some})
+        found, cost = clocked(lambda some=some: solve_adaptive(columns, part(observation, some), settings))
+        ours = 1e3 * cost.wall / some
+        each = {"ms per photograph (RGB)": ours, "processor ms": 1e3 * cost.processor / some}
+        rows.append({"case": "adaptive Haar", "photographs": some, **each})
     functions = found.refinement.functions.double().mean().item()
     for name, how in (("SciPy loop, nnls(A, b)", by_columns), ("SciPy loop, nnls on the Cholesky factor", by_factor)):
-        start = time.perf_counter()
-        same = agreement(columns, part(observation, peer), settings, found.refinement.kept, how)
-        scipy_ms = 1e3 * (time.perf_counter() - start) / peer
-        rows.append({"what": f"{name} (same functions: {same})", "photographs": peer, "ms per photograph": scipy_ms})
-    ours = 1e3 * seconds / count
-    print("| what | photographs | ms per photograph (RGB) | ratio |\n| --- | --- | --- | --- |")
-    for row in rows:
-        time_each = float(str(row["ms per photograph"]))
-        print(f"| {row['what']} | {row['photographs']} | {time_each:.1f} | {time_each / ours:.1f} |")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(f"{functions:.0f} functions per channel in the mean; peak memory {peak:.1f} GiB")
-    if out is not None:
-        with out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+        one = part(observation, peer)
+        same, cost = clocked(lambda how=how, one=one: agreement(columns, one, settings, found.refinement.kept, how))
+        theirs = 1e3 * cost.wall / peer
+        row = {"case": "adaptive Haar", "photographs": peer, "ms per photograph (RGB)": theirs}
+        more = {"processor ms": 1e3 * cost.processor / peer, "peer": name, "ratio": theirs / ours}
+        rows.append({**row, **more, "same functions": same})
+    print(f"{markdown(rows)}\n{functions:.0f} functions per channel in the mean")
+    save("adaptive", rows, thread_count(), out)
 
 
 def part(observation: Observation, count: int) -> Observation:
@@ -97,7 +85,7 @@ def agreement(columns: NodeColumns, observation: Observation, settings: Adaptive
     items = [(photo, channel) for photo in range(observation.samples.shape[0]) for channel in range(3)]
     same = 0
     for photo, channel in tqdm(items, desc="SciPy", disable=not sys.stderr.isatty()):
-        sigma = settings.noise * float((observation.samples[photo] * observation.weights[photo]).abs().max())
+        sigma = NOISE * float((observation.samples[photo] * observation.weights[photo]).abs().max())
         target = observation.samples[photo, channel] * weighted.root
         leaves = grow(weighted, target.numpy(), sigma, settings, how)
         same += int(torch.equal(kept[photo, channel], functions(columns.tree, torch.from_numpy(leaves))))

@@ -10,8 +10,10 @@ from torch import Tensor
 
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.footprints import visible_samples
+from torchlight.geometry.primitives import box, cylinder
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
+from torchlight.geometry.transforms import transform
 from torchlight.io.lights import read_light
 from torchlight.light import overlap
 from torchlight.light.environment import EnvironmentMap, rotate_about_z
@@ -27,6 +29,14 @@ FINE = 64  # texels per face edge of the light in the photographs: finer than an
 def scene(samples: int) -> Scene:
     """Returns a block on a plane of 4 x 4, seen as samples x samples."""
     return block_scene(BLOCK, Receiver(center=(0.0, 0.0), size=(4.0, 4.0), samples=(samples, samples)))
+
+
+def another_scene(samples: int) -> Scene:
+    """Returns a cylinder and a slab on that plane: no setting of a solver was chosen on their photographs."""
+    column = transform(cylinder(0.35, 1.4), 1.0, (0.0, 0.0, 0.0), (-0.5, 0.35, 0.0))
+    slab = transform(box((1.1, 0.3, 0.8)), 1.0, (0.0, 0.0, -35.0), (0.55, -0.4, 0.0))
+    receiver = Receiver(center=(0.0, 0.0), size=(4.0, 4.0), samples=(samples, samples))
+    return Scene(torch.cat([column, slab]), receiver, encoding="linear")
 
 
 def lights(data: Path | None) -> list[EnvironmentMap]:

@@ -4,16 +4,14 @@
 
 Samples on [-2, 2]^2 and random directions above 1 degree: 9,216 x 256 and 65,536 x 1,024, for a block, a sphere of
 81,920 faces, and the bunny and the chair of DIR/meshes. Prints millions of rays per second, the best of three runs of
-each method, the ratio to embreex on as many threads, and how many answers differ from Embree's; writes
-OUT/visibility.csv. Mitsuba 3 (LLVM) and Open3D are asked where they can be imported. Preparation (welding, pairing,
-clusters; building a ray caster's tree) is not counted, and printed apart.
+each method on as many threads, how many times as fast the contours are, and how many answers differ from Embree's;
+writes OUT/visibility.csv. Mitsuba 3 (LLVM) and Open3D are asked where they can be imported. Preparation (welding,
+pairing, clusters; building a ray caster's tree) is not counted, and printed apart.
 """
 
 from __future__ import annotations
 
-import csv
 import math
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +23,7 @@ import torch
 import trimesh
 import tyro
 from jaxtyping import Bool, Float
+from measuring import OUT, markdown, save
 from torch import Tensor
 
 from torchlight.geometry.contours import scene_contours
@@ -39,6 +38,10 @@ from torchlight.threads import ordered_map, thread_count
 SIZES = ((96, 256), (256, 1024))
 LOWEST = math.sin(math.radians(1.0))
 RUNS = 3
+ASKED = {  # ratios to Mitsuba
+    **{(mesh, 96**2): ratio for mesh, ratio in (("block", 15.0), ("sphere", 2.0), ("bunny", 1.5), ("chair", 2.5))},
+    **{(mesh, 256**2): ratio for mesh, ratio in (("block", 15.0), ("sphere", 8.0), ("bunny", 4.0), ("chair", 8.0))},
+}
 DIRECTIONS_PER_CALL = 64
 Method = Callable[[], Bool[np.ndarray, "directions points"]]
 
@@ -63,7 +66,7 @@ class Row:
         return self.samples * self.directions / self.seconds / 1e6
 
 
-def main(data: Path | None = None, out: Path = Path("out/bench")) -> None:
+def main(data: Path | None = None, out: Path = OUT) -> None:
     """Prints a Markdown table and writes OUT/visibility.csv.
 
     Args:
@@ -71,17 +74,13 @@ def main(data: Path | None = None, out: Path = Path("out/bench")) -> None:
         out: where the CSV goes.
     """
     makers = {name: maker for name, maker in PEERS.items() if available(name)}
-    print(f"{os.cpu_count()} processors, {thread_count()} threads\n")
     rows = []
     for mesh, triangles in meshes(data).items():
         for side, count in SIZES:
             rows += measure(mesh, triangles, side, count, makers)
-    table(rows)
-    out.mkdir(parents=True, exist_ok=True)
-    with (out / "visibility.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow([*rows[0].__dict__, "million_rays_per_second"])
-        writer.writerows([[*row.__dict__.values(), f"{row.speed:.1f}"] for row in rows])
+    shown = table(rows)
+    print(markdown(shown))
+    save("visibility", shown, thread_count(), out)
 
 
 def meshes(data: Path | None) -> dict[str, Float[Tensor, "faces 3 3"]]:
@@ -201,7 +200,8 @@ def by_open3d(scene: Scene, directions: Float[Tensor, "directions 3"]) -> Method
     return lambda: np.concatenate([some(part.numpy()) for part in directions.split(DIRECTIONS_PER_CALL)])
 
 
-PEERS = {"embreex": by_embree, "contours": by_contours, "Mitsuba LLVM": by_mitsuba, "Open3D": by_open3d}
+CONTOURS = "contours"
+PEERS = {"embreex": by_embree, CONTOURS: by_contours, "Mitsuba LLVM": by_mitsuba, "Open3D": by_open3d}
 
 
 def available(name: str) -> bool:
@@ -220,17 +220,28 @@ def available(name: str) -> bool:
     return True
 
 
-def table(rows: list[Row]) -> None:
-    """Prints the rows as a Markdown table."""
-    print("\n| mesh | faces | samples x directions | hidden | method | Mray/s | / embreex | prepared, s | differ |")
-    print("| --- | ---: | --- | ---: | --- | ---: | ---: | ---: | ---: |")
-    base = {(r.mesh, r.samples): r.speed for r in rows if r.method == "embreex"}
-    for r in rows:
-        size, ratio = f"{r.samples:,} x {r.directions:,}", r.speed / base[r.mesh, r.samples]
-        print(
-            f"| {r.mesh} | {r.faces:,} | {size} | {r.hidden:.1%} | {r.method} | {r.speed:.0f} | {ratio:.1f} | "
-            f"{r.prepared:.2f} | {r.different:,} |"
-        )
+def table(rows: list[Row]) -> list[dict[str, object]]:
+    """Returns the rows of the table: of a peer, with how many times as fast the contours are."""
+    ours = {(r.mesh, r.samples): r.speed for r in rows if r.method == CONTOURS}
+    return [told(r, ours[r.mesh, r.samples] / r.speed) for r in rows]
+
+
+def told(row: Row, ratio: float) -> dict[str, object]:
+    """Returns one row of the table."""
+    size = f"{row.samples:,} x {row.directions:,}"
+    peer = row.method != CONTOURS
+    against = ASKED.get((row.mesh, row.samples)) if row.method == "Mitsuba LLVM" else None
+    return {
+        "case": f"visibility, {row.mesh}, {size}",
+        "faces": row.faces,
+        "hidden": f"{row.hidden:.1%}",
+        "peer": row.method if peer else None,
+        "million rays per second": row.speed,
+        "ratio": ratio if peer else None,
+        "asked": against,
+        "preparation, seconds": row.prepared,
+        "differ from Embree": row.different,
+    }
 
 
 if __name__ == "__main__":

@@ -75,7 +75,10 @@ def read_poses(path: str | Path) -> dict[str, Float[Tensor, "4 4"]]:
         if not isinstance(value, dict) or not {"file_path", "transform_matrix"} <= set(value):
             frame.fail("expected file_path and transform_matrix")
         matrix = fields.matrix(replace(frame, value=value["transform_matrix"]), 4, 4)
-        poses[str(value["file_path"])] = _OPENGL @ torch.linalg.inv(matrix)
+        inverse, singular = torch.linalg.inv_ex(matrix)
+        if int(singular) or not bool(torch.isfinite(inverse).all()):
+            frame.fail("its transform_matrix cannot be inverted; expected a rotation and a translation")
+        poses[str(value["file_path"])] = _OPENGL @ inverse
     return poses
 
 
@@ -224,11 +227,11 @@ def _lens_of_opencv(text: str, path: Path) -> Lens:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         k, distortion = storage.getNode("camera_matrix").mat(), storage.getNode("distortion_coefficients").mat()
         width, height = storage.getNode("image_width").real(), storage.getNode("image_height").real()
-    except cv2.error as error:
+    except (cv2.error, SystemError, ValueError) as error:  # OpenCV wraps what it cannot say in a SystemError
         raise FormatError(f"{path}: not a camera file of OpenCV; expected camera_matrix and more") from error
     if k is None or distortion is None:
         raise FormatError(f"{path}: camera_matrix and distortion_coefficients are missing; not a camera of OpenCV")
-    if not width or not height:
+    if not (0 < width < math.inf and 0 < height < math.inf):
         raise FormatError(f"{path}: image_width and image_height are missing; add the size of the photographs")
     values = torch.from_numpy(np.asarray(distortion, dtype=np.float64).reshape(-1).copy())
     return Lens(torch.from_numpy(np.asarray(k, dtype=np.float64).copy()), (int(width), int(height)), values)

@@ -12,7 +12,7 @@ import zlib
 from dataclasses import dataclass
 
 from torchlight.errors import FormatError
-from torchlight.io.files import MAX_PIXELS
+from torchlight.io.files import check_size
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -52,8 +52,7 @@ def inspect(data: bytes, name: str) -> Container:
     except (struct.error, IndexError, KeyError, ValueError, OverflowError) as error:
         detail = str(error) if isinstance(error, _DamagedError) else "it ends early or its structure is broken"
         raise FormatError(f"{name}: truncated or corrupt {kind}: {detail}; copy or save it again") from error
-    if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise FormatError(f"{name}: {width} x {height} pixels; expected 1 to {MAX_PIXELS:,} pixels")
+    check_size(width, height, len(data), name)
     return Container(kind, width, height)
 
 

@@ -69,7 +69,7 @@ def parse_exif(block: bytes) -> Exif:
         order = _TIFF_ORDERS[block[:2]]
         main = _directory(block, order, struct.unpack_from(order + "I", block, 4)[0])
         detail = _directory(block, order, int(main[_DIRECTORY])) if _DIRECTORY in main else {}
-    except (KeyError, struct.error):
+    except (KeyError, ValueError, struct.error):
         return Exif()
     tags = {**main, **detail}
     turn = main.get(_ORIENTATION, UPRIGHT)

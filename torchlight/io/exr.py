@@ -112,7 +112,13 @@ def _colour_channels(names: list[str], path: str | Path) -> list[str]:
 
 def _check_primaries(header: dict[str, Any], path: str | Path) -> None:
     primaries = header.get("chromaticities")
-    if primaries is not None and not np.allclose(np.ravel(primaries), REC709_D65, atol=5e-3):
+    if primaries is None:
+        return
+    try:
+        usual = np.allclose(np.ravel(primaries), REC709_D65, atol=5e-3)
+    except (TypeError, ValueError) as error:
+        raise FormatError(f"{path}: its primaries are not eight numbers; write it again") from error
+    if not usual:
         warnings.warn(
             f"{path}: its primaries are not Rec.709/D65 and its values are used as they are; convert it first",
             TorchlightWarning,
@@ -124,7 +130,7 @@ def _metadata(header: dict[str, Any], path: str | Path) -> dict[str, Any]:
     text = header.get(METADATA_ATTRIBUTE, "{}")
     try:
         metadata = json.loads(text)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise FormatError(f"{path}: its '{METADATA_ATTRIBUTE}' attribute is not JSON; write it again") from error
     if not isinstance(metadata, dict):
         raise FormatError(f"{path}: its '{METADATA_ATTRIBUTE}' attribute is not a JSON object; write it again")

@@ -11,7 +11,7 @@ import zlib
 from dataclasses import dataclass
 
 from torchlight.errors import FormatError
-from torchlight.io.files import MAX_PIXELS
+from torchlight.io.files import check_size
 
 MAGIC = b"\x76\x2f\x31\x01"
 _UNSUPPORTED = {0x800: "a deep image", 0x1000: "a multi-part file"}
@@ -67,14 +67,13 @@ def exr_header(data: bytes, name: str) -> ExrHeader:
         window = struct.unpack("<4i", attributes["dataWindow"])
         display = struct.unpack("<4i", attributes["displayWindow"])
         compression = attributes["compression"][0]
-        pixel_bytes = _pixel_bytes(attributes["channels"])
+        pixel_bytes, channels = _pixel_bytes(attributes["channels"])
     except (struct.error, ValueError, KeyError, IndexError) as error:
         raise FormatError(f"{name}: the OpenEXR header is truncated or corrupt; copy or save it again") from error
     if window != display:
         raise FormatError(f"{name}: data window {window} differs from display window {display}; save it uncropped")
     width, height = window[2] - window[0] + 1, window[3] - window[1] + 1
-    if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise FormatError(f"{name}: {width} x {height} pixels; expected 1 to {MAX_PIXELS:,} pixels")
+    check_size(width, height, len(data), name, channels)
     return ExrHeader(width, height, compression, bool(version & _TILED), pixel_bytes, end)
 
 
@@ -93,18 +92,17 @@ def _attributes(data: bytes, position: int) -> tuple[dict[str, bytes], int]:
     return found, position + 1
 
 
-def _pixel_bytes(channels: bytes) -> int:
-    """Returns the size of one pixel from the channel list; 0 if a channel is subsampled."""
-    total = 0
+def _pixel_bytes(channels: bytes) -> tuple[int, int]:
+    """Returns the size of one pixel from the channel list, 0 if a channel is subsampled; and how many channels."""
+    total, count, whole = 0, 0, True
     position = 0
     while channels[position] != 0:
         position = channels.index(b"\0", position) + 1
         kind, _, x_sampling, y_sampling = struct.unpack_from("<4i", channels, position)
-        if (x_sampling, y_sampling) != (1, 1):
-            return 0
-        total += _BYTES_PER_VALUE[kind]
+        whole = whole and (x_sampling, y_sampling) == (1, 1)
+        total, count = total + _BYTES_PER_VALUE[kind], count + 1
         position += 16
-    return total
+    return (total if whole else 0), count
 
 
 def _check_chunks(data: bytes, header: ExrHeader, name: str) -> None:
@@ -121,18 +119,20 @@ def _check_chunks(data: bytes, header: ExrHeader, name: str) -> None:
             # a chunk that would not shrink is stored as it is, without a checksum
             plain = min(lines, header.height - index * lines) * header.width * header.pixel_bytes
             if has_checksum and size < plain:
-                _check_zlib(data[offset + 8 : offset + 8 + size])
+                _check_zlib(data[offset + 8 : offset + 8 + size], plain)
     except (struct.error, ValueError, OverflowError) as error:
         raise FormatError(f"{name}: the OpenEXR file is truncated; copy or save it again") from error
     except zlib.error as error:
         raise FormatError(f"{name}: the OpenEXR file is corrupt: {error}; copy or save it again") from error
 
 
-def _check_zlib(chunk: bytes) -> None:
-    """Raises zlib.error on a damaged or unfinished stream, in bounded memory."""
-    inflate = zlib.decompressobj()
-    while not inflate.eof:
+def _check_zlib(chunk: bytes, plain: int) -> None:
+    """Raises zlib.error on a damaged or unfinished stream, or one of another length, in bounded memory."""
+    inflate, length = zlib.decompressobj(), 0
+    while not inflate.eof and length <= plain:
         piece = inflate.decompress(chunk, 1 << 24)
-        chunk = inflate.unconsumed_tail
+        chunk, length = inflate.unconsumed_tail, length + len(piece)
         if not piece and not chunk and not inflate.eof:
             raise zlib.error("a chunk is incomplete")
+    if length != plain:
+        raise zlib.error("a chunk is of another length than its lines")

@@ -10,6 +10,9 @@ from torchlight.errors import FormatError
 
 MAX_BYTES = 4 * 2**30
 MAX_PIXELS = 400_000_000
+# deflate shrinks by at most 1032 and a byte holds eight pixels of one bit; no other format of photographs comes near
+PIXELS_PER_BYTE = 8 * 1032
+FEW_PIXELS = 1 << 24  # so many are decoded whatever the file's size
 
 
 def read_bytes(path: str | Path, limit: int = MAX_BYTES) -> bytes:
@@ -42,6 +45,23 @@ def read_bytes(path: str | Path, limit: int = MAX_BYTES) -> bytes:
     if not data:
         raise FormatError(f"{path}: the file is empty; write it again")
     return data
+
+
+def check_size(width: int, height: int, size: int, name: str, channels: int = 1) -> None:
+    """Raises FormatError for a picture that is empty, too large, or larger than its file can hold, before it is made.
+
+    Args:
+        width: as the header says.
+        height: likewise.
+        size: of the file in bytes.
+        name: what the error calls the file.
+        channels: that are decoded one by one.
+    """
+    pixels = width * height
+    if width < 1 or height < 1 or pixels > MAX_PIXELS:
+        raise FormatError(f"{name}: {width} x {height} pixels; expected 1 to {MAX_PIXELS:,} pixels")
+    if pixels * channels > max(FEW_PIXELS, PIXELS_PER_BYTE * size):
+        raise FormatError(f"{name}: {width} x {height} pixels cannot lie in {size:,} bytes; copy or save it again")
 
 
 def sha256_of(data: bytes) -> str:

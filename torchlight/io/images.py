@@ -58,6 +58,13 @@ def read_photo(path: str | Path) -> Photo:
         FormatError: missing, a folder, empty, truncated, corrupt, not an image, CMYK, more than 400 megapixels, or the
             extra `raw` is needed and absent.
     """
+    try:
+        return _read_photo(path)
+    except MemoryError as error:
+        raise FormatError(f"{path}: so many pixels do not fit in the memory that is free; use a smaller one") from error
+
+
+def _read_photo(path: str | Path) -> Photo:
     data = read_bytes(path)
     digest = sha256_of(data)
     if data.startswith(EXR_MAGIC):
@@ -116,7 +123,7 @@ def write_png(path: str | Path, image: NDArray[Any]) -> None:
 
 
 def _channels_first(pixels: NDArray[Any]) -> Float[Tensor, "3 height width"]:
-    return torch.from_numpy(pixels).permute(2, 0, 1).contiguous()
+    return torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)))
 
 
 def _decode(data: bytes, name: str, orientation: int) -> NDArray[Any]:

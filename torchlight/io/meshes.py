@@ -27,7 +27,7 @@ _GLB_MAGIC = b"glTF"
 _PLY_ELEMENT = re.compile(rb"element\s+(\S+)\s+(\d+)")
 _NOT_ASCII = re.compile(rb"[^\x00-\x7f]")
 _STL_HEADER, _STL_FACE = 84, 50
-_OFF_COUNTS = re.compile(rb"OFF\s+(?:#[^\n]*\s+)*(\d+)\s+(\d+)")
+_OFF_COUNTS = re.compile(rb"OFF\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")
 
 
 @dataclass(frozen=True)
@@ -69,13 +69,27 @@ def read_mesh(path: str | Path) -> Float[Tensor, "faces 3 3"]:
     return torch.from_numpy(np.ascontiguousarray(triangles, dtype=np.float64))
 
 
+class _Beside:
+    """Hands trimesh the regular files in a mesh's folder or below it, and nothing else: no pipe, no device."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder.resolve()
+
+    def __getitem__(self, name: str) -> bytes:
+        place = (self._folder / name).resolve()
+        if not place.is_relative_to(self._folder):
+            raise ValueError(f"its buffer {name} does not lie in its folder")
+        return read_bytes(place, MAX_MESH_BYTES)
+
+
 def _load(path: Path, data: bytes, suffix: str) -> Any:
     import trimesh
 
     try:
-        # a .gltf names its buffers by files beside it, so trimesh opens it by its path; it fetches nothing remote
-        source = str(path) if suffix == ".gltf" else io.BytesIO(_plain_text(data, suffix))
-        mesh = trimesh.load_mesh(source, file_type=suffix[1:], process=False, skip_materials=True)
+        # a .gltf names its buffers by files; the other formats are whole, and nothing is fetched for them
+        beside: Any = _Beside(path.parent) if suffix == ".gltf" else None
+        source = io.BytesIO(data if suffix == ".gltf" else _plain_text(data, suffix))
+        mesh = trimesh.load_mesh(source, file_type=suffix[1:], resolver=beside, process=False, skip_materials=True)
         faces = np.asarray(mesh.faces)
         if faces.size and (faces.min() < 0 or faces.max() >= len(mesh.vertices)):
             raise ValueError("a face names a vertex that does not exist")
@@ -118,7 +132,7 @@ def _announced(data: bytes, suffix: str, name: str) -> _Announced:
             return _Announced(max(counts.values(), default=0), counts.get(b"face", 0))
         match = _OFF_COUNTS.search(data, 0, 65_536) if suffix == ".off" else None
         return _Announced(0, 0) if match is None else _Announced(max(int(match[1]), int(match[2])), int(match[2]))
-    except (ValueError, TypeError, AttributeError, KeyError, IndexError, struct.error, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, struct.error, RecursionError) as error:
         raise FormatError(f"{name}: not a readable {suffix} mesh: {reason(error)}; re-export it") from error
 
 

@@ -33,7 +33,7 @@ def read_response(path: str | Path) -> Response:
         document = json.loads(read_bytes(path, MAX_BYTES))
         rows = torch.tensor([document[name] for name in _CHANNELS], dtype=torch.float64)
         return Response(rows)
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         expected = "expected JSON with red, green and blue lists of numbers of one length"
         why = str(error) if isinstance(error, ConfigError) else expected
         raise FormatError(f"{path}: not a camera response: {why}; `torchlight merge` writes such files") from error

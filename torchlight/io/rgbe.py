@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchlight.errors import FormatError
 from torchlight.io.atomic import write_atomically
-from torchlight.io.files import MAX_PIXELS, one_line, read_bytes
+from torchlight.io.files import check_size, one_line, read_bytes
 
 _MAX_HEADER = 65_536
 _RESOLUTION = re.compile(rb"([+-])([XY])\s+(\d{1,9})\s+([+-])([XY])\s+(\d{1,9})\s*")
@@ -99,8 +99,7 @@ def _header(data: bytes, name: str) -> tuple[dict[str, list[str]], tuple[tuple[s
         raise FormatError(f"{name}: expected a resolution such as '-Y 512 +X 1024', got '{line}'")
     sign_1, axis_1, size_1, sign_2, axis_2, size_2 = (part.decode() for part in match.groups())
     axes = ((sign_1, axis_1, int(size_1)), (sign_2, axis_2, int(size_2)))
-    if not 0 < axes[0][2] * axes[1][2] <= MAX_PIXELS:
-        raise FormatError(f"{name}: {size_1} x {size_2} pixels; expected 1 to {MAX_PIXELS:,} pixels")
+    check_size(axes[0][2], axes[1][2], len(data), name)
     return variables, axes, stop + 1
 
 

@@ -15,7 +15,7 @@ import yaml
 from torchlight.errors import ConfigError, FormatError
 from torchlight.io.files import one_line, read_bytes
 
-MAX_YAML_BYTES = 1 << 20
+MAX_YAML_BYTES = 1 << 18  # a thousand occluders; more takes the parser many seconds
 MAX_ALIASES = 32
 
 

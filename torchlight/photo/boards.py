@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
-from kornia.color import linear_rgb_to_rgb, rgb_to_grayscale
 from numpy.typing import NDArray
 from torch import Tensor
 
 from torchlight.errors import CalibrationError, ConfigError
 from torchlight.photo.marker_edges import refined_corners
+from torchlight.photo.radiometry import encode
 from torchlight.photo.target import Sheet, marker_corners
 
 MIN_MARKERS = 4
@@ -122,7 +122,9 @@ def detect(board: Board, grey: UInt8[np.ndarray, "height width"], name: str) -> 
 
 def grey_picture(pixels: Float[Tensor, "3 height width"], is_linear: bool = False) -> UInt8[np.ndarray, "height width"]:
     """Returns what detectors take: 8-bit luma of an encoded photograph; linear values are encoded as sRGB first."""
-    encoded = linear_rgb_to_rgb(pixels.clamp(0, 1)) if is_linear else pixels.clamp(0, 1)
+    from kornia.color import rgb_to_grayscale
+
+    encoded = encode(pixels.clamp(0, 1), "srgb") if is_linear else pixels.clamp(0, 1)
     return np.ascontiguousarray((rgb_to_grayscale(encoded.nan_to_num())[0] * 255).round().byte().numpy())
 
 

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from kornia.geometry.calibration import distort_points
 from torch import Tensor
 
 from torchlight.camera import Lens
@@ -165,6 +164,8 @@ def _residuals(pose: Tensor, points: Tensor, pixels: Tensor, lens: Lens) -> Tens
 
 def _shown(local: Tensor, lens: Lens) -> Tensor:
     """Returns the pixel of each point in camera axes."""
+    from kornia.geometry.calibration import distort_points
+
     k = lens.intrinsics.to(local)
     ideal = (local / local[:, 2:]) @ k.T
     return distort_points(ideal[None, :, :2], k[None], lens.distortion.to(local)[None])[0]

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
-from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from torch import Tensor
 
 from torchlight.errors import ConfigError
 
 ENCODINGS = ("srgb", "linear", "gamma", "response", "raw")
 DEFAULT_GAMMA = 2.2
+SRGB_KNEE, LINEAR_KNEE = 0.04045, 0.0031308  # of IEC 61966-2-1: where its straight part ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ def linearize(
     """
     _check_encoding(encoding)
     if encoding == "srgb":
-        return rgb_to_linear_rgb(pixels)
+        return torch.where(pixels > SRGB_KNEE, ((pixels.clamp(min=SRGB_KNEE) + 0.055) / 1.055) ** 2.4, pixels / 12.92)
     if encoding == "gamma":
         return pixels.clamp(min=0) ** gamma
     if encoding == "response":
@@ -90,7 +90,8 @@ def encode(
 ) -> Float[Tensor, "*batch 3 height width"]:
     """Returns what "srgb", "linear" or "gamma" stores of linear values: the inverse of `linearize`."""
     if encoding == "srgb":
-        return linear_rgb_to_rgb(values)
+        curve = 1.055 * values.clamp(min=LINEAR_KNEE) ** (1 / 2.4) - 0.055
+        return torch.where(values > LINEAR_KNEE, curve, 12.92 * values)
     return values.clamp(min=0) ** (1 / gamma) if encoding == "gamma" else values
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Bool, Float
-from kornia.geometry.transform import remap
 from torch import Tensor
 
 from torchlight.photo.observation import LinearPhoto, Observation
@@ -36,6 +35,8 @@ def from_camera(
 def _footprint_means(
     layers: Float[Tensor, "batch layers height width"], pixels: Float[Tensor, "points sub 2"]
 ) -> Float[Tensor, "batch layers points"]:
+    from kornia.geometry.transform import remap
+
     maps = pixels.nan_to_num(nan=-1e6).expand(len(layers), -1, -1, -1)
     # align_corners must be given: kornia's default reads half a pixel off
     values = remap(layers, maps[..., 0], maps[..., 1], mode="bilinear", padding_mode="border", align_corners=True)
