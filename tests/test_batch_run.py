@@ -93,6 +93,25 @@ def test_what_a_killed_process_left_is_removed_and_done_again(
     assert fingerprints(out) == fingerprints(undisturbed)
 
 
+def test_what_a_killed_worker_left_of_a_complete_photograph_is_removed(
+    undisturbed: Path, asked: tuple[Entry, ...], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(undisturbed, out)
+    left = out / "photos/.p003.partial-0123abcd"
+    left.mkdir()
+    assert done(Batch(asked, out, QUICK)) == []
+    assert not left.exists()
+    shutil.rmtree(out / "photos/p004")
+
+    def dies_while_writing(todo: Iterable[Block], task: Task) -> Iterator[Report]:
+        left.mkdir()
+        return in_this_process(todo, task)
+
+    assert done(Batch(asked, out, QUICK), dies_while_writing) == [("p004", "done")]
+    assert not left.exists()
+
+
 def test_a_folder_without_a_line_is_complete(undisturbed: Path, asked: tuple[Entry, ...], tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(undisturbed, out)

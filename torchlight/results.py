@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import platform
 from collections.abc import Iterator, Mapping
@@ -318,13 +319,16 @@ def recorded(exif: Exif) -> dict[str, float | None]:
 
 def versions() -> dict[str, str]:
     """Returns the versions that results depend on; "absent" for what is not installed."""
-    found = {"python": platform.python_version()}
-    for name in LIBRARIES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "absent"
-    return found
+    return {"python": platform.python_version(), **{name: installed(name) for name in LIBRARIES}}
+
+
+@functools.cache
+def installed(name: str) -> str:
+    """Returns the version of a distribution, or "absent"; looked up once, since it takes milliseconds."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "absent"
 
 
 def number(value: Tensor) -> float | None:

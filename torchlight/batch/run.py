@@ -90,8 +90,10 @@ def run_batch(batch: Batch, engine: Engine) -> Generator[Progress, None, None]:
             if entry.name not in ended and complete(batch.out, entry.name):
                 journal.append(record_of_complete(entry))
         wanted = frozenset(entry.name for entry in batch.entries if pending(batch, entry, ended))
+        everything = blocks(batch.entries, batch.shard, frozenset(entry.name for entry in batch.entries))
+        own = [entry for block in everything for entry in block.entries]
         todo = blocks(batch.entries, batch.shard, wanted)
-        remove_partial(batch.out, [entry for block in todo for entry in block.pending])
+        remove_partial(batch.out, own)
         total = sum(len(block.pending) for block in todo)
         done, failed, seconds, peak = 0, 0, dict[str, float](), 0
         for report in engine(todo, Task(batch.out, batch.config)):
@@ -101,6 +103,7 @@ def run_batch(batch: Batch, engine: Engine) -> Generator[Progress, None, None]:
                 journal.append(record)
                 done, failed = done + (record.state == "done"), failed + (record.state == "failed")
                 yield Progress(total, done, failed, record, seconds, peak)
+        remove_partial(batch.out, own)  # of workers that were killed while they wrote
 
 
 def added(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
@@ -175,7 +178,7 @@ def check_names(entries: Sequence[Entry], ended: Mapping[str, Record]) -> None:
 
 
 def remove_partial(out: Path, entries: Sequence[Entry]) -> None:
-    """Removes what a killed process left of photographs that are to be done now."""
+    """Removes what killed processes left of a shard's photographs, which no process writes now."""
     names = {folder_of(out, entry.name) for entry in entries}
     for parent in {name.parent for name in names}:
         with suppress(OSError):

@@ -10,10 +10,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import cv2
-import numpy as np
 import torch
+import yaml
 from jaxtyping import Float
 from torch import Tensor
 
@@ -26,6 +27,8 @@ from torchlight.io.fields import Field
 from torchlight.io.files import one_line, read_bytes
 
 MAX_CAMERA_BYTES = 1 << 24
+MAX_OPENCV_LETTERS = 1 << 19  # of YAML, which is slow to read
+_NOT_OPENCV = (ValueError, TypeError, AttributeError, LookupError, OverflowError, RuntimeError)
 KIND = "torchlight camera"
 # camera axes x right, y up, z backward (OpenGL) to OpenCV's
 _OPENGL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
@@ -222,19 +225,41 @@ def _lens_of_nerfstudio(named: Mapping[str, Field], root: Field) -> Lens:
     return _lens(values["fl_x"], fy, values["cx"] - 0.5, values["cy"] - 0.5, size, list(radial.values()))
 
 
+class _OpenCvLoader(yaml.SafeLoader):
+    """Reads OpenCV's matrices as mappings. OpenCV's own parser is not used: damaged files make it corrupt memory."""
+
+
+def _as_mapping(loader: yaml.SafeLoader, _: str, node: yaml.Node) -> object:
+    return loader.construct_mapping(cast(yaml.MappingNode, node), deep=True)
+
+
+_OpenCvLoader.add_multi_constructor("tag:yaml.org,2002:opencv", _as_mapping)
+
+
 def _lens_of_opencv(text: str, path: Path) -> Lens:
+    if len(text) > MAX_OPENCV_LETTERS:
+        raise FormatError(f"{path}: {len(text):,} letters are too many for a camera file; keep the intrinsics alone")
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        k, distortion = storage.getNode("camera_matrix").mat(), storage.getNode("distortion_coefficients").mat()
-        width, height = storage.getNode("image_width").real(), storage.getNode("image_height").real()
-    except (cv2.error, SystemError, ValueError) as error:  # OpenCV wraps what it cannot say in a SystemError
+        # S506: a SafeLoader; the first line, %YAML:1.0, is no YAML
+        tree = yaml.load(text.partition("\n")[2], Loader=_OpenCvLoader)  # noqa: S506
+        named = tree if isinstance(tree, dict) else {}
+        k, distortion = (_opencv_matrix(named.get(key)) for key in ("camera_matrix", "distortion_coefficients"))
+        width, height = (float(named.get(key) or 0) for key in ("image_width", "image_height"))
+    except (yaml.YAMLError, *_NOT_OPENCV) as error:
         raise FormatError(f"{path}: not a camera file of OpenCV; expected camera_matrix and more") from error
     if k is None or distortion is None:
         raise FormatError(f"{path}: camera_matrix and distortion_coefficients are missing; not a camera of OpenCV")
     if not (0 < width < math.inf and 0 < height < math.inf):
         raise FormatError(f"{path}: image_width and image_height are missing; add the size of the photographs")
-    values = torch.from_numpy(np.asarray(distortion, dtype=np.float64).reshape(-1).copy())
-    return Lens(torch.from_numpy(np.asarray(k, dtype=np.float64).copy()), (int(width), int(height)), values)
+    return Lens(k, (int(width), int(height)), distortion.reshape(-1))
+
+
+def _opencv_matrix(node: Any) -> Tensor | None:
+    """Returns a matrix, float64; None where there is none."""
+    if node is None:
+        return None
+    values = torch.tensor([float(value) for value in node["data"]], dtype=torch.float64)
+    return values.reshape(int(node["rows"]), int(node["cols"]))
 
 
 def _lens_of_colmap(text: str, path: Path) -> Lens:

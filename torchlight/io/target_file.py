@@ -8,6 +8,7 @@ from torchlight.errors import CalibrationError, ConfigError
 from torchlight.io import fields
 from torchlight.io.atomic import write_atomically
 from torchlight.io.fields import Field
+from torchlight.io.files import one_line
 from torchlight.io.yaml_file import read_yaml
 from torchlight.photo.boards import named_dictionary
 from torchlight.photo.target import RULER_LENGTH, Prop, Sheet, check_ruler
@@ -36,7 +37,7 @@ def read_target(path: str | Path) -> Sheet:
     try:
         named_dictionary(dictionary)
     except ConfigError as error:
-        raise ConfigError(named.describe(str(error).removeprefix("dictionary: "))) from error
+        raise ConfigError(named.describe(one_line(str(error).removeprefix("dictionary: ")))) from error
     size = fields.positive(fields.required(known, "marker_size", root, "marker_size: 20"))
     listed = fields.items(fields.required(known, "markers", root, "markers: [[-87, -125.5]]"), "a list of x, y")
     centers = [fields.numbers(item, 2) for item in listed]
