@@ -10,6 +10,7 @@ from itertools import islice
 import pytest
 import torch
 
+from torchlight import threads
 from torchlight.threads import ordered_map, single_threaded, thread_count
 
 
@@ -92,3 +93,16 @@ def test_torch_works_on_one_thread_within_and_as_before_afterwards() -> None:
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
+
+
+def test_tasks_of_one_thread_each_work_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "thread_count", lambda: 2 if torch.get_num_threads() == before else 1)
+    before = torch.get_num_threads() + 1
+    torch.set_num_threads(before)
+    meeting = threading.Barrier(2, timeout=30)
+    try:
+        found = list(threads.single_threaded_map(lambda item: (meeting.wait() >= 0, torch.get_num_threads()), range(4)))
+        assert found == [(True, 1)] * 4
+        assert torch.get_num_threads() == before
+    finally:
+        torch.set_num_threads(before - 1)

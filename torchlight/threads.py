@@ -59,3 +59,13 @@ def ordered_map(task: Callable[[Item], Result], items: Iterable[Item], count: in
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def single_threaded_map(task: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Yields `ordered_map` of tasks whose own calls of torch work on one thread each.
+
+    Their number of threads is taken before that: within `single_threaded`, `thread_count` is 1.
+    """
+    count = thread_count()
+    with single_threaded():
+        yield from ordered_map(task, items, count)

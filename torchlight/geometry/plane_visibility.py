@@ -17,6 +17,7 @@ from torchlight.threads import ordered_map
 
 BUNDLE = 32  # neighbouring directions that look through the clusters of edges together
 SLACK = 1e-9
+QUICK = 2**22  # samples and edges looked at: about a millisecond, less than other threads take to start
 
 
 def hidden_samples(shape: GridContours, directions: Float[Tensor, "directions 3"]) -> Bool[Tensor, "directions points"]:
@@ -51,8 +52,8 @@ def mark(
     """Marks what is hidden from directions taken in an order that keeps neighbours together, a bundle per thread."""
     contours, grid = shape.contours, shape.grid
 
-    def fill(begin: int) -> None:
-        numbers = order[begin : begin + BUNDLE]
+    def fill(begin: int, count: int = BUNDLE) -> None:
+        numbers = order[begin : begin + count]
         bundle = directions[numbers]
         kernel.hidden_samples(
             contours.axes,
@@ -68,6 +69,12 @@ def mark(
             result,
         )
 
+    if len(order) == 0:
+        return
+    work = len(order) * (grid.rows * grid.columns + len(shape.ends))
+    if work < QUICK:
+        fill(0, len(order))
+        return
     for _ in ordered_map(fill, range(0, len(order), BUNDLE)):
         pass
 

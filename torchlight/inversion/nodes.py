@@ -17,7 +17,7 @@ from torch import Tensor
 from torchlight.errors import ShapeError
 from torchlight.inversion.quadtree import pyramid, quadtree, squares, within
 from torchlight.inversion.rows import Rows, SymmetricRows
-from torchlight.threads import ordered_map, single_threaded, thread_count
+from torchlight.threads import single_threaded_map
 from torchlight.transfer import Transfer
 
 UNKNOWN = -1  # quarters that have not been asked for
@@ -193,8 +193,6 @@ def product(left: Float[Tensor, "n points"], right: Float[Tensor, "m points"]) -
     def fill(start: int) -> None:
         torch.matmul(left[start : start + ROWS_PER_TASK], right.T, out=result[start : start + ROWS_PER_TASK])
 
-    threads = thread_count()
-    with single_threaded():
-        for _ in ordered_map(fill, range(0, left.shape[0], ROWS_PER_TASK), threads):
-            pass
+    for _ in single_threaded_map(fill, range(0, left.shape[0], ROWS_PER_TASK)):
+        pass
     return result

@@ -30,6 +30,7 @@ from torchlight.near_light.angles import widest_degrees
 from torchlight.near_light.fits import Fit, Heights
 from torchlight.near_light.model import Shadow, coarse_squares, shadow_of
 from torchlight.photo.observation import Observation
+from torchlight.threads import single_threaded
 
 FALSE_ALARMS = 0.01
 TOLERANCE = 0.01  # of the object's height: 0.4 mm of 40
@@ -98,7 +99,12 @@ def near_light(scene: Scene, observation: Observation) -> NearLight | None:
     usable = observation.weights > 0
     if int((lit & usable).sum()) < MIN_SAMPLES or len(scene.triangles) == 0:
         return None
-    shadow = shadow_of(scene, observation.samples, observation.weights)
+    with single_threaded():  # many small solves: two threads would take twice the time of one
+        return judged(shadow_of(scene, observation.samples, observation.weights))
+
+
+def judged(shadow: Shadow) -> NearLight | None:
+    """Returns whether the light of a shadow is near; None where that cannot be told."""
     if not shadow.top > 0:
         return None
     best = profile(shadow)

@@ -16,7 +16,7 @@ from torchlight.solvers.filling import Filling, filling_of
 from torchlight.solvers.modulus import Modulus, modulus_of
 from torchlight.solvers.shared_gram import SharedGram, UnitGram, correlations, gram_under, scaled_to_unit, unit_gram
 from torchlight.solvers.system import System, same_rows
-from torchlight.threads import ordered_map, single_threaded
+from torchlight.threads import single_threaded_map
 
 ITEMS_PER_TASK = 48
 SMALL = 1024  # columns: a start by products pays for a single item up to here, and
@@ -80,9 +80,8 @@ def batch_minimizers(
         for items, found, spent in solved(batch, groups):
             x[items], steps[items] = found * size[items], spent
 
-    with single_threaded():
-        for _ in ordered_map(fill, tasks(system)):
-            pass
+    for _ in single_threaded_map(fill, tasks(system)):
+        pass
     return x, steps
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.solvers.modulus import Modulus
-from torchlight.threads import ordered_map, single_threaded
+from torchlight.threads import single_threaded_map
 
 ROWS_PER_TASK = 512
 
@@ -59,7 +59,6 @@ def filling_of(columns: Float[Tensor, "points k"], guess: Modulus, damping: floa
     def fill(start: int) -> None:
         torch.mm(columns[start : start + ROWS_PER_TASK], basis, out=rows[start : start + ROWS_PER_TASK])
 
-    with single_threaded():
-        for _ in ordered_map(fill, range(0, columns.shape[0], ROWS_PER_TASK)):
-            pass
+    for _ in single_threaded_map(fill, range(0, columns.shape[0], ROWS_PER_TASK)):
+        pass
     return Filling(basis, rows)

@@ -19,7 +19,7 @@ from torchlight.solvers.problem import check_like_matrix, check_matrix, check_we
 from torchlight.solvers.shared_gram import UnitGram, unit_gram, weighted_gram
 from torchlight.solvers.solution import Solution, Status
 from torchlight.solvers.system import assemble, binary_scale, initial_status
-from torchlight.threads import ordered_map, single_threaded
+from torchlight.threads import single_threaded_map
 
 RIDGE = NNLS().ridge
 LIMITS = Limits(NNLS().tolerance * INNER_TOLERANCE, NNLS().max_steps)
@@ -84,9 +84,8 @@ class PreparedNNLS:
             found[items], steps[items], ended = self._solved(b[items], tolerance)
             status[items] = torch.where(status[items] == Status.CONVERGED, ended, status[items])
 
-        with single_threaded():
-            for _ in ordered_map(fill, parts(b.shape[0], torch.get_num_threads())):
-                pass
+        for _ in single_threaded_map(fill, parts(b.shape[0], torch.get_num_threads())):
+            pass
         found[status == Status.NOT_FINITE, coeffs:] = torch.nan
         items = photos.shape[:2]
         return assemble(samples, found.unflatten(0, items), status.reshape(items), steps.reshape(items))

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.solvers.system import System
-from torchlight.threads import ordered_map, single_threaded
+from torchlight.threads import single_threaded_map
 
 COLUMNS_PER_TASK = 256
 ITEMS_PER_PRODUCT = 64
@@ -71,9 +71,8 @@ def weighted_gram(columns: Float[Tensor, "points k"], weights: Float[Tensor, " p
     """Returns C'WC, made above the diagonal and copied below; the same bits whatever the number of threads."""
     weighted = columns * weights[:, None]
     result = columns.new_empty(columns.shape[1], columns.shape[1])
-    with single_threaded():
-        for _ in ordered_map(partial(fill_block, columns, weighted, result), block_starts(columns)):
-            pass
+    for _ in single_threaded_map(partial(fill_block, columns, weighted, result), block_starts(columns)):
+        pass
     return result
 
 
@@ -156,7 +155,6 @@ def correlations(shared: SharedGram, system: System) -> Float[Tensor, "items k"]
         right[: stop - start] = system.targets[start:stop] * root
         result[start:stop] = (right @ shared.columns)[: stop - start]
 
-    with single_threaded():
-        for _ in ordered_map(fill, range(0, result.shape[0], ITEMS_PER_PRODUCT)):
-            pass
+    for _ in single_threaded_map(fill, range(0, result.shape[0], ITEMS_PER_PRODUCT)):
+        pass
     return result
