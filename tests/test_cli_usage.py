@@ -15,7 +15,7 @@ from torchlight.cli.usage import condensed
         (("estimate", "s.yaml", "p.png", "--out", "x", "--method", "foo"), "'foo'"),
         (("estimate", "s.yaml", "p.png", "--out", "x", "--functions", "abc"), "--functions"),
         (("estimate", "s.yaml", "p.png"), "--out DIR"),
-        (("estimte", "s.yaml"), "Available subcommands: estimate, batch, analyze"),
+        (("estimte", "s.yaml"), "Available subcommands: estimate, batch, sweep, analyze"),
         ((), "estimate"),
     ],
 )

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from torchlight import relighting
+from torchlight.errors import ShapeError
 from torchlight.geometry import primitives
 from torchlight.geometry.analytic_shadow import Block, block_irradiance
 from torchlight.geometry.receiver import Receiver
@@ -22,6 +23,7 @@ from torchlight.light import environment as environments
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.latlong import row_boundaries
 from torchlight.metrics import rms_255
+from torchlight.photo.observation import linear_photo
 from torchlight.relighting import albedo_over_pi, irradiance, ray_offsets, relight
 
 BLOCK = Block((1.0, 0.6, 1.2), 20.0, (0.3, -0.2))
@@ -182,3 +184,11 @@ def test_ray_offsets_fill_the_footprint_evenly() -> None:
     assert counts.shape == (256,)
     assert counts.min() >= 13
     assert counts.max() <= 19
+
+
+@pytest.mark.parametrize("kind", [torch.float16, torch.bfloat16])
+def test_half_precision_is_refused(kind: torch.dtype) -> None:
+    with pytest.raises(ShapeError, match=f"radiance: expected float32 or float64, got {kind}"):
+        relight(block_scene(), EnvironmentMap(torch.ones(3, 8, 16, dtype=kind)))
+    with pytest.raises(ShapeError, match=f"photograph: expected float32 or float64, got {kind}"):
+        linear_photo(torch.ones(3, 4, 4, dtype=kind))

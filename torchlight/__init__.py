@@ -101,7 +101,6 @@ __all__ = [
     "SphericalHarmonics",
     "Texels",
     "Transfer",
-    "batch",
     "columns_for",
     "estimate",
     "irradiance",

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchlight.errors import ConfigError, SceneError
+from torchlight.errors import ConfigError, SceneError, ShapeError
 from torchlight.geometry.receiver import Receiver, receiver_points
 from torchlight.geometry.scene import Scene, shadowing
 from torchlight.geometry.visibility import scene_occlusion
@@ -52,10 +52,14 @@ def relight(
 
     Raises:
         ConfigError: a number of rays below 1 or above `MAX_RAYS`.
+        ShapeError: radiance of half precision.
         SceneError: the scene says that light stands elsewhere than this light does.
     """
     if not 1 <= rays <= MAX_RAYS:
         raise ConfigError(f"rays: expected 1 to {MAX_RAYS:,}, got {rays:,}; {RAYS:,} is usual")
+    kind = environment.radiance.dtype
+    if kind not in (torch.float32, torch.float64):
+        raise ShapeError(f"radiance: expected float32 or float64, got {kind}; convert it with .float()")
     scene = shadowing(lit_by(scene, environment))
     lead = environment.radiance.shape[:-3]
     maps = environment.radiance.cpu().reshape(-1, *environment.radiance.shape[-3:])

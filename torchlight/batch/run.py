@@ -26,7 +26,7 @@ from torchlight.config import Config, leaves
 from torchlight.errors import ConfigError, FormatError
 from torchlight.io.atomic import PARTIAL, check_writable, make_folder
 from torchlight.io.batch_folder import BATCH, JOURNAL, MANIFEST, read_object, write_lines, write_object
-from torchlight.io.journal import Record, opened, records
+from torchlight.io.journal import Journal, Record, opened, records
 from torchlight.io.manifest import Entry, as_row, read_entries
 from torchlight.results import versions
 
@@ -82,18 +82,7 @@ def run_batch(batch: Batch, engine: Engine) -> Generator[Progress, None, None]:
     """
     check_place(batch.out)
     with opened(batch.out / JOURNAL, batch.shard.name) as journal:
-        check_settings(batch)
-        write_lines(batch.out / MANIFEST, map(as_row, batch.entries))
-        ended = records(batch.out / JOURNAL)
-        check_names(batch.entries, ended)
-        for entry in batch.entries:
-            if entry.name not in ended and complete(batch.out, entry.name):
-                journal.append(record_of_complete(entry))
-        wanted = frozenset(entry.name for entry in batch.entries if pending(batch, entry, ended))
-        everything = blocks(batch.entries, batch.shard, frozenset(entry.name for entry in batch.entries))
-        own = [entry for block in everything for entry in block.entries]
-        todo = blocks(batch.entries, batch.shard, wanted)
-        remove_partial(batch.out, own)
+        todo = begun(batch, journal)
         total = sum(len(block.pending) for block in todo)
         done, failed, seconds, peak = 0, 0, dict[str, float](), 0
         for report in engine(todo, Task(batch.out, batch.config)):
@@ -103,7 +92,21 @@ def run_batch(batch: Batch, engine: Engine) -> Generator[Progress, None, None]:
                 journal.append(record)
                 done, failed = done + (record.state == "done"), failed + (record.state == "failed")
                 yield Progress(total, done, failed, record, seconds, peak)
-        remove_partial(batch.out, own)  # of workers that were killed while they wrote
+        remove_partial(batch)  # of workers that were killed while they wrote
+
+
+def begun(batch: Batch, journal: Journal) -> list[Block]:
+    """Returns the blocks that are to be done now; checks what was done before, and tidies up what was killed."""
+    check_settings(batch)
+    write_lines(batch.out / MANIFEST, map(as_row, batch.entries))
+    ended = records(batch.out / JOURNAL)
+    check_names(batch.entries, ended)
+    for entry in batch.entries:
+        if entry.name not in ended and complete(batch.out, entry.name):
+            journal.append(record_of_complete(entry))
+    remove_partial(batch)
+    wanted = frozenset(entry.name for entry in batch.entries if pending(batch, entry, ended))
+    return blocks(batch.entries, batch.shard, wanted)
 
 
 def added(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
@@ -177,13 +180,14 @@ def check_names(entries: Sequence[Entry], ended: Mapping[str, Record]) -> None:
             )
 
 
-def remove_partial(out: Path, entries: Sequence[Entry]) -> None:
-    """Removes what killed processes left of a shard's photographs, which no process writes now."""
-    names = {folder_of(out, entry.name) for entry in entries}
-    for parent in {name.parent for name in names}:
+def remove_partial(batch: Batch) -> None:
+    """Removes what killed processes left of the shard's photographs."""
+    everything = blocks(batch.entries, batch.shard, frozenset(entry.name for entry in batch.entries))
+    folders = {folder_of(batch.out, entry.name) for block in everything for entry in block.entries}
+    for parent in {folder.parent for folder in folders}:
         with suppress(OSError):
             for left in parent.glob(f".*{PARTIAL}*"):
-                if parent / left.name[1:].rpartition(PARTIAL)[0] in names:
+                if parent / left.name[1:].rpartition(PARTIAL)[0] in folders:
                     rmtree(left, ignore_errors=True)
 
 

@@ -31,6 +31,8 @@ def linear_photo(radiance: Float[Tensor, "*batch 3 height width"]) -> LinearPhot
     """Returns a linear photograph all of whose finite pixels may be used."""
     if radiance.ndim < 3 or radiance.shape[-3] != 3:
         raise ShapeError(f"photograph: expected [..., 3, height, width], got {list(radiance.shape)}")
+    if radiance.dtype not in (torch.float32, torch.float64):
+        raise ShapeError(f"photograph: expected float32 or float64, got {radiance.dtype}; convert it with .float()")
     return LinearPhoto(radiance, torch.isfinite(radiance).all(dim=-3))
 
 
