@@ -16,6 +16,7 @@ from torchlight.batch.blocks import Block, Shard
 from torchlight.batch.looking import look
 from torchlight.batch.run import Batch, Engine, finished, in_this_process, merge, run_batch
 from torchlight.batch.scenes import setting_of
+from torchlight.batch.table import reasons
 from torchlight.batch.work import Report, Task
 from torchlight.errors import ConfigError, FormatError
 from torchlight.io.images import read_photo
@@ -56,6 +57,13 @@ def test_every_photograph_ends_one_way(undisturbed: Path, asked: tuple[Entry, ..
     table = (undisturbed / "results.csv").read_text().splitlines()
     assert len(table) == COUNT + 1
     assert table[0].startswith("name,photo,scene,state,reason,warnings,rms_255")
+
+
+def test_reasons_are_counted_without_names() -> None:
+    rows = [{"state": "failed", "photo": f"/a/{i}.png", "reason": f"a/{i}.png: truncated"} for i in range(3)]
+    rows += [{"state": "failed", "photo": "/a/9.png", "reason": "not enough memory"}]
+    rows += [{"state": "done", "photo": "/a/8.png", "reason": ""}]
+    assert reasons(rows) == [("truncated", 3), ("not enough memory", 1)]
 
 
 def test_a_second_run_does_nothing(undisturbed: Path, asked: tuple[Entry, ...]) -> None:

@@ -84,13 +84,19 @@ def pieces_on_ray(
         yield from answers(todo, remote.task(on_one_thread).remote, remote)
 
 
-@contextmanager
-def connected(address: str | None, workers: int | None) -> Iterator[Remote]:
-    """Yields a cluster, and leaves it at the end."""
+def installed() -> Any:
+    """Returns the module; raises ConfigError where Ray is not installed."""
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ConfigError("--engine ray: Ray is not installed; pip install 'torchlight[cluster]'") from None
+    return ray
+
+
+@contextmanager
+def connected(address: str | None, workers: int | None) -> Iterator[Remote]:
+    """Yields a cluster, and leaves it at the end."""
+    ray = installed()
     try:
         quiet = {"log_to_driver": False, "logging_level": "ERROR"}
         if address is None:

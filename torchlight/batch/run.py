@@ -25,11 +25,12 @@ from torchlight.batch.work import Report, Task, complete, folder_of, work
 from torchlight.config import Config, leaves
 from torchlight.errors import ConfigError, FormatError
 from torchlight.io.atomic import PARTIAL, check_writable, make_folder
-from torchlight.io.batch_folder import BATCH, JOURNAL, MANIFEST, read_object, write_lines, write_object
+from torchlight.io.batch_folder import BATCH, JOURNAL, MANIFEST, PHOTOS, read_object, write_lines, write_object
 from torchlight.io.journal import Journal, Record, opened, records
 from torchlight.io.manifest import Entry, as_row, read_entries
 from torchlight.results import versions
 
+UNUSED = "; it holds no result and may be removed"
 Engine = Callable[[Iterable[Block], Task], Iterator[Report]]
 
 
@@ -165,7 +166,7 @@ def check_settings(batch: Batch) -> None:
         if asked.get(key) != before.get(key):
             raise ConfigError(
                 f"{batch.out}: was begun with {key} = {before.get(key)}, not {asked.get(key)}; "
-                "use the same settings, or another --out"
+                f"use the same settings, or another --out{'' if (batch.out / PHOTOS).exists() else UNUSED}"
             )
 
 

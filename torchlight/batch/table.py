@@ -84,8 +84,14 @@ def counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
 
 def reasons(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, int]]:
     """Returns why photographs failed and how many did so, the commonest first; photographs' names are left out."""
-    said = Counter(row["reason"].replace(row["photo"], "").lstrip(": ") for row in rows if row["state"] == "failed")
+    said = Counter(without_name(row["reason"], row["photo"]) for row in rows if row["state"] == "failed")
     return said.most_common()
+
+
+def without_name(reason: str, photo: str) -> str:
+    """Returns a reason without the photograph that it begins with, so that those of many can be counted."""
+    _, named, rest = reason.partition(Path(photo).name)
+    return rest.lstrip(": ") or reason if named else reason
 
 
 def record_of_complete(entry: Entry) -> Record:

@@ -16,6 +16,7 @@ from torchlight.batch.ending import Ended, failure, nearness, solved, write
 from torchlight.batch.looking import Looked, look
 from torchlight.batch.scenes import Shared, prepare, with_mask
 from torchlight.config import Config
+from torchlight.io.batch_folder import PHOTOS
 from torchlight.io.images import Photo, read_photo
 from torchlight.io.journal import Record
 from torchlight.io.manifest import Entry
@@ -28,7 +29,6 @@ except ImportError:  # Windows
     resource = None
 
 SCENES_KEPT = 2
-PHOTOS = "photos"  # folder of the output that holds one folder per photograph
 
 
 @dataclass(frozen=True)

@@ -59,8 +59,9 @@ def engine_of(command: arguments.Batch) -> Engine:
         ConfigError: a number of workers below 0, or an option of another engine.
     """
     if command.engine == "ray":
-        from torchlight.batch.cluster import on_ray
+        from torchlight.batch.cluster import installed, on_ray
 
+        installed()  # said before anything is written
         return functools.partial(on_ray, address=command.address, workers=command.workers)
     if command.address is not None:
         raise ConfigError("--address is for --engine ray; leave it away")
