@@ -13,6 +13,7 @@ from torchlight.cli.usage import condensed
     [
         (("estimate", "s.yaml", "p.png", "--out", "x", "--resolutoin", "3"), "perhaps you meant --resolution"),
         (("estimate", "s.yaml", "p.png", "--out", "x", "--method", "foo"), "'foo'"),
+        (("estimate", "s.yaml", "p.png", "--out", "x", "--methods", "sh"), "perhaps you meant --method; see"),
         (("estimate", "s.yaml", "p.png", "--out", "x", "--functions", "abc"), "--functions"),
         (("estimate", "s.yaml", "p.png"), "--out DIR"),
         (("estimte", "s.yaml"), "Available subcommands: estimate, batch, sweep, analyze"),

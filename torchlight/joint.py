@@ -40,7 +40,7 @@ from torchlight.observing import observe
 from torchlight.photo.noise import brightest_used
 from torchlight.photo.observation import LinearPhoto, Observation, linear_photo
 from torchlight.pipeline import ROBUST_ROUNDS, Estimate, FoundLight, find_light, find_peaks, resolve_method
-from torchlight.precomputation import Columns, precompute
+from torchlight.precomputation import Columns, dense_resolution, precompute
 from torchlight.relighting import albedo_over_pi
 from torchlight.solvers import Solver
 from torchlight.transfer import Transfer, square_columns
@@ -129,11 +129,6 @@ def estimate_together(
 def linear(photo: LinearPhoto | Float[Tensor, "3 height width"]) -> LinearPhoto:
     """Returns a linear photograph, all of whose finite pixels may be used where it does not say."""
     return photo if isinstance(photo, LinearPhoto) else linear_photo(photo)
-
-
-def dense_resolution(basis: Basis, solver: Solver | AdaptiveHaar) -> int:
-    """Returns the resolution of the dense transport that a method takes."""
-    return solver.dense_resolution if isinstance(solver, AdaptiveHaar) else basis.resolution
 
 
 def side_by_side(scenes: Sequence[Scene], transfers: Sequence[Transfer], solver: Solver | AdaptiveHaar) -> Poses:

@@ -41,6 +41,11 @@ def columns_for(
     return deepened(scene, dense, solver.max_resolution)
 
 
+def dense_resolution(basis: Basis, solver: Solver | AdaptiveHaar) -> int:
+    """Returns the resolution of the dense transport that a method takes."""
+    return solver.dense_resolution if isinstance(solver, AdaptiveHaar) else basis.resolution
+
+
 def deepened(scene: Scene, dense: Transfer, resolution: int) -> NodeColumns:
     """Returns the columns of all squares down to a resolution, those finer than the dense transport cast on demand."""
     contours = functools.cache(lambda: scene_contours(scene))

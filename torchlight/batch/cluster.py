@@ -19,13 +19,12 @@ import torch
 
 from torchlight.batch.blocks import Block
 from torchlight.batch.local import DIED, Whole, Work
-from torchlight.batch.scenes import dense_resolution
 from torchlight.batch.work import Report, Task, keeps, work
 from torchlight.config import Config
 from torchlight.errors import ConfigError
 from torchlight.io.scene_file import load_scene
 from torchlight.method import named_method
-from torchlight.precomputation import precompute
+from torchlight.precomputation import dense_resolution, precompute
 from torchlight.transfer import Transfer
 
 RETRIES = 3  # of a block whose worker died; then photograph by photograph

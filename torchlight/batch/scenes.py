@@ -25,7 +25,7 @@ from torchlight.method import named_device, named_method
 from torchlight.observing import empty_plane, visible_part
 from torchlight.photo.observation import Observation
 from torchlight.placement import silhouette
-from torchlight.precomputation import Columns, Progress, columns_for, fitting
+from torchlight.precomputation import Columns, Progress, columns_for, dense_resolution, fitting
 from torchlight.solvers import Solver
 from torchlight.transfer import Transfer, check_budget
 
@@ -139,11 +139,6 @@ def prepare(
         else:
             columns = fitting(scene, dense, solver, device)
     return Shared(setting, basis, solver, device, columns, seconds)
-
-
-def dense_resolution(basis: Basis, solver: Solver | AdaptiveHaar) -> int:
-    """Returns the resolution of the dense transport that a method takes."""
-    return solver.dense_resolution if isinstance(solver, AdaptiveHaar) else basis.resolution
 
 
 def with_mask(setting: Setting, mask: Path | None) -> Setting:

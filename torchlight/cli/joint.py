@@ -30,7 +30,6 @@ from torchlight.joint import (
     JointEstimate,
     View,
     check_views,
-    dense_resolution,
     explain_together,
     explain_together_robustly,
     side_by_side,
@@ -39,7 +38,7 @@ from torchlight.light.bases import Basis
 from torchlight.method import named_device, named_method
 from torchlight.observing import check_lit, empty_plane, linearize, observe, placed, visible_part
 from torchlight.photo.observation import Observation
-from torchlight.precomputation import precompute, transport_key
+from torchlight.precomputation import dense_resolution, precompute, transport_key
 from torchlight.report.joint_folder import Asked, Source, write_joint
 from torchlight.solvers import Solver
 from torchlight.transfer import Transfer

@@ -50,7 +50,12 @@ def condensed(text: str) -> str:
     if not paragraphs:
         return "these arguments name no command; see torchlight --help"
     said = " ".join(" ".join(line.split()) for line in paragraphs[0])
-    options = [line.split()[0] for paragraph in paragraphs[1:] for line in paragraph if line.strip().startswith("--")]
+    options = [
+        line.split()[0].rstrip(",")
+        for paragraph in paragraphs[1:]
+        for line in paragraph
+        if line.strip().startswith("--")
+    ]
     commands = [p for p in paragraphs[1:] if p[0].strip().startswith("Available")]
     if "Perhaps you meant" in text and options:
         said = said.rstrip(".") + f"; perhaps you meant {options[0]}"
