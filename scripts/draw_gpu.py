@@ -20,7 +20,7 @@ BOXES = {
     "samples b": (3, 2, GPU),
     "transport T": (3, 0, GPU),
     "T x = b, x >= 0,\ncertificates": (6, 1, GPU),
-    "trees of the adaptive\nmethod grow": (6, 2.6, CPU),
+    "trees of the adaptive\nmethod grow": (6, 2.6, GPU),
     "light, peaks,\nprediction, errors": (9, 1, GPU),
     "result files": (12, 1, CPU),
 }

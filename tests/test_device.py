@@ -15,13 +15,14 @@ from workbench import BLOCK, png, scene_file, shadow, torchlight
 
 import torchlight as tl
 from torchlight.geometry.receiver import Receiver
+from torchlight.inversion import nodes
 from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
 from torchlight.inversion.gain import ProjectedGain
 from torchlight.inversion.level_by_level import LevelByLevel
 from torchlight.inversion.linear import solve
 from torchlight.photo.observation import Observation
 from torchlight.pipeline import Estimate, estimate, explain, resolve_method
-from torchlight.precomputation import Columns, columns_for
+from torchlight.precomputation import Columns, columns_for, deepened
 from torchlight.solvers import NNLS, NonnegativeSynthesis, ProjectedAdam, Ridge
 from torchlight.synthetic import block_scene
 from torchlight.transfer import transport
@@ -37,11 +38,11 @@ METHODS = {
     "haar by ridge": (tl.HaarCubemap(4), Ridge(1e-6)),
     "harmonics": (tl.SphericalHarmonics(2, 4), NonnegativeSynthesis()),
     "harmonics by ridge": (tl.SphericalHarmonics(2, 4), Ridge()),
-    "adaptive": (None, AdaptiveHaar(16, 60)),
-    "adaptive, dense": (None, AdaptiveHaar(8, 60)),
+    "adaptive": (None, AdaptiveHaar(8, 48)),
     "adaptive, the paper's rule": (None, AdaptiveHaar(4, 40, rule=LevelByLevel())),
-    "adaptive, shared": (None, AdaptiveHaar(8, 60, rule=ProjectedGain(shared=True))),
+    "adaptive, shared": (None, AdaptiveHaar(4, 48, rule=ProjectedGain(shared=True))),
 }
+ON_THE_CPU = "adaptive, the paper's rule"
 
 
 def photographs() -> Tensor:
@@ -94,7 +95,7 @@ def test_estimate_is_the_cpus_and_stays_on_its_device(method, device):
     assert_close(found.peaks.directions.cpu(), right.peaks.directions, rtol=0, atol=1e-4, equal_nan=True)
 
 
-@pytest.mark.parametrize("method", [name for name in METHODS if not name.startswith("adaptive")])
+@pytest.mark.parametrize("method", [name for name in METHODS if name != ON_THE_CPU])
 def test_after_visibility_no_data_come_back_to_the_host(method):
     device = elsewhere.register()
     basis, solver = resolve_method(*METHODS[method])
@@ -104,12 +105,42 @@ def test_after_visibility_no_data_come_back_to_the_host(method):
     assert waits["_to_copy"] == waits["copy_"] == 0, waits
 
 
-def test_adaptive_method_goes_to_the_host_once():
-    device, solver = elsewhere.register(), AdaptiveHaar(16, 60)
-    seen, columns = observed(device), columns_on(device, "adaptive")
+def test_of_the_adaptive_method_the_host_learns_which_squares_to_cast_and_no_more(monkeypatch):
+    device, asked, squares = elsewhere.register(), [], nodes.squares
+    monkeypatch.setattr(nodes, "squares", lambda tree, wanted: asked.append(len(wanted)) or squares(tree, wanted))
+    solver, coarse = AdaptiveHaar(8, 48), transport(SCENE, 2, 6)
+    right = solve_adaptive(deepened(SCENE, coarse, 8), observed(torch.device("cpu")), solver)
+    times = len(asked)
+    with elsewhere.counting() as waits:
+        found = solve_adaptive(deepened(SCENE, coarse.to(device), 8), observed(device), solver)
+    on(device, found)
+    assert len(asked) == 2 * times > 0
+    assert waits["_to_copy"] == times, waits
+    assert waits["copy_"] == 0, waits
+    assert torch.equal(found.refinement.kept.cpu(), right.refinement.kept)
+    assert_close(found.irradiance.cpu(), right.irradiance, rtol=0, atol=1e-9)
+
+
+def test_the_papers_rule_goes_to_the_host_once():
+    device, solver = elsewhere.register(), AdaptiveHaar(4, 40, rule=LevelByLevel())
+    seen, columns = observed(device), columns_on(device, ON_THE_CPU)
     with elsewhere.counting() as waits:
         solve_adaptive(columns, seen, solver)
     assert waits == {"_to_copy": 2}  # samples and weights
+
+
+def test_trees_grow_together(monkeypatch):
+    """The host does not wait more often for six photographs than for two."""
+    device, solver = elsewhere.register(), AdaptiveHaar(4, 48)
+    dense = transport(SCENE, 4, 6, device=device)
+    waited = []
+    for copies in (1, 3):
+        seen = observed(device)
+        seen = Observation(seen.samples.repeat(copies, 1, 1), seen.weights.repeat(copies, 1))
+        with elsewhere.counting() as waits:
+            solve_adaptive(dense, seen, solver)
+        waited.append(sum(waits.values()))
+    assert waited[0] == waited[1]
 
 
 def test_adaptive_method_works_where_its_columns_are(device):

@@ -72,6 +72,22 @@ def test_every_frame_has_the_residual_of_scipy_and_the_certificate_it_claims(kin
         assert least * (1 - 1e-12) <= r.norm().item() <= least * (1 + tolerance)
 
 
+@pytest.mark.parametrize("kind", ["independent", "unseen"])
+def test_frames_are_solved_where_their_transport_is(kind: str, device: torch.device) -> None:
+    matrix = transport(kind)
+    video = frames(matrix)
+    video[1, 2, 7] = torch.inf
+    video[2] = 0.0
+    (right,) = tl.stream(matrix, [video], tolerance=1e-8)
+    (found,) = tl.stream(matrix.to(device), [video.to(device)], tolerance=1e-8)
+    assert found.coefficients.device.type == device.type
+    assert found.status.tolist() == right.status.tolist()
+    assert torch.allclose(
+        found.coefficients.cpu(), right.coefficients, rtol=0, atol=1e-7 * float(video.nan_to_num(0, 0, 0).max())
+    )
+    assert torch.allclose(found.relative_residual.cpu(), right.relative_residual, rtol=1e-9, atol=1e-12, equal_nan=True)
+
+
 def test_gap_bounds_the_true_one() -> None:
     matrix = transport()
     video = frames(matrix)

@@ -75,7 +75,8 @@ class Compute:
     """Where and how the work is done."""
 
     device: Annotated[Literal["auto", "cpu", "cuda"], arg(aliases=["--device"])] = "auto"
-    """Where to find shadows and to solve; --method adaptive does both on the CPU. See docs/gpu.md."""
+    """Where to find shadows and to solve; auto is the GPU where there is one, for --method adaptive the CPU. See
+    docs/gpu.md."""
     no_cache: Annotated[bool, arg(aliases=["--no-cache"])] = False
     """Neither read nor write scenes' transports on disk."""
 

@@ -56,12 +56,15 @@ def named_basis(config: Config) -> Basis:
     return Texels(resolution) if config.light.method == "texels" else HaarCubemap(resolution)
 
 
-def named_device(name: str) -> torch.device:
-    """Returns the device that a name stands for; "auto" is the GPU where there is one.
+def named_device(name: str, solver: Solver | AdaptiveHaar | None = None) -> torch.device:
+    """Returns the device that a name stands for; "auto" is the GPU where there is one, for whole bases.
+
+    The adaptive method goes there only when told to: its compiled code on a CPU is known to be fast.
 
     Raises:
         ConfigError: "cuda" without a usable GPU.
     """
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("--device cuda: this torch finds no GPU; use --device auto or cpu")
-    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+    wanted = name == "cuda" or (name == "auto" and not isinstance(solver, AdaptiveHaar))
+    return torch.device("cuda" if wanted and torch.cuda.is_available() else "cpu")

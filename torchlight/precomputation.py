@@ -10,6 +10,7 @@ import torch
 from torchlight.geometry.contours import scene_contours
 from torchlight.geometry.scene import Scene, shadowing
 from torchlight.inversion.adaptive import AdaptiveHaar
+from torchlight.inversion.gain import ProjectedGain
 from torchlight.inversion.nodes import NodeColumns
 from torchlight.io import cache
 from torchlight.light.bases import Basis
@@ -31,14 +32,20 @@ def columns_for(
 ) -> Columns:
     """Returns what a solve takes of a scene: its dense transport, or for `AdaptiveHaar` columns on demand beside it.
 
-    Keep it for all photographs of the scene: `NodeColumns` remember what they have cast. A dense transport is made on
-    the device and stays there. What `AdaptiveHaar` takes is on the CPU wherever the photographs are: its trees grow in
-    compiled code, and which squares are cast next depends on what has grown.
+    Keep it for all photographs of the scene: `NodeColumns` remember what they have cast. All columns are made on the
+    device and stay there, but for the paper's rule (`home`).
     """
     if not isinstance(solver, AdaptiveHaar):
         return precompute(scene, basis.resolution, use_cache=use_cache, progress=progress, device=device)
-    dense = precompute(scene, solver.dense_resolution, use_cache=use_cache, progress=progress)
+    dense = precompute(
+        scene, solver.dense_resolution, use_cache=use_cache, progress=progress, device=home(solver, device)
+    )
     return deepened(scene, dense, solver.max_resolution)
+
+
+def home(solver: AdaptiveHaar, device: torch.device | str) -> torch.device | str:
+    """Returns where trees grow: on the device by `ProjectedGain`, on the CPU by rules that work item by item."""
+    return device if isinstance(solver.rule, ProjectedGain) else "cpu"
 
 
 def dense_resolution(basis: Basis, solver: Solver | AdaptiveHaar) -> int:
@@ -49,19 +56,19 @@ def dense_resolution(basis: Basis, solver: Solver | AdaptiveHaar) -> int:
 def deepened(scene: Scene, dense: Transfer, resolution: int) -> NodeColumns:
     """Returns the columns of all squares down to a resolution, those finer than the dense transport cast on demand."""
     contours = functools.cache(lambda: scene_contours(scene))
-    return NodeColumns(dense, resolution, lambda squares, cells: square_columns(scene, squares, cells, contours()))
+    device = dense.transport.device
+    return NodeColumns(
+        dense, resolution, lambda squares, cells: square_columns(scene, squares, cells, contours(), device)
+    )
 
 
 def fitting(scene: Scene, transfer: Columns, solver: Solver | AdaptiveHaar, device: torch.device) -> Columns:
-    """Returns what the solver takes: a dense transport on the observation's device, deepened where it is too coarse.
-
-    That of `AdaptiveHaar` is on the CPU (`columns_for`).
-    """
+    """Returns what the solver takes: a dense transport on the observation's device, deepened where it is too coarse."""
     if not isinstance(transfer, Transfer):
         return transfer
     if not isinstance(solver, AdaptiveHaar):
         return transfer.to(device=device)
-    transfer = transfer.to(device="cpu")
+    transfer = transfer.to(device=home(solver, device))
     if transfer.resolution < solver.max_resolution:
         return deepened(scene, transfer, solver.max_resolution)
     return transfer

@@ -28,7 +28,7 @@ def stream(
     one has none either, and that is its exact answer. Neither stops the stream nor touches another frame.
 
     Args:
-        matrix: T, the transport of the texels: `Transfer.transport`.
+        matrix: T, the transport of the texels: `Transfer.transport`; where it is, there blocks are solved.
         blocks: irradiance samples b of consecutive frames, of the matrix's dtype.
         weights: the diagonal of W, the same for all frames; 0 where a sample does not count. None = ones.
         tolerance: on `Solution.kkt_residual`, here the largest cosine between the residual b - T x and a column that
@@ -36,7 +36,7 @@ def stream(
 
     Raises:
         ShapeError: matrix and weights do not fit; when a block is asked for, that this block does not.
-        ConfigError: the tolerance is not in (0, 1), or the matrix is not on the CPU or has no column or too many.
+        ConfigError: the tolerance is not in (0, 1), or the matrix has no column or too many.
     """
     if not 0.0 < tolerance < 1.0:
         raise ConfigError(f"stream: expected a tolerance in (0, 1), got {tolerance}")

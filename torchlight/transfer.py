@@ -112,7 +112,11 @@ def transport(
 
 
 def square_columns(
-    scene: Scene, squares: Int[Tensor, "squares 4"], subsamples: int, contours: Contours | None = None
+    scene: Scene,
+    squares: Int[Tensor, "squares 4"],
+    subsamples: int,
+    contours: Contours | None = None,
+    device: torch.device | str = "cpu",
 ) -> Float[Tensor, "squares points"]:
     """Returns the transport of squares of the cube map's faces, one row per square, float64.
 
@@ -124,14 +128,15 @@ def square_columns(
             part above z = 0.
         subsamples: directions along a square's edge.
         contours: from `scene_contours`, which is worth keeping for many calls.
+        device: where they are made and stay; the squares are on the CPU.
 
     Raises:
         ConfigError: there is no direction per square, or no such square above the horizon.
     """
     check_subsamples(subsamples)
     check_squares(squares)
-    result = torch.empty(len(squares), scene.receiver.points, dtype=torch.float64)
-    for part, columns in cast(scene, cubemap.square_cells(squares), subsamples, contours):
+    result = torch.empty(len(squares), scene.receiver.points, dtype=torch.float64, device=device)
+    for part, columns in cast(scene, cubemap.square_cells(squares), subsamples, contours, device):
         result[part] = columns
     return result
 

@@ -25,6 +25,7 @@ from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.primitives import sphere
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
+from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
 from torchlight.photo.observation import Observation
 from torchlight.pipeline import explain
 from torchlight.relighting import irradiance
@@ -82,6 +83,7 @@ def cases(side: int, count: int) -> Iterator[Case]:
     yield Case("Adam, texels, 200 steps", solves(ProjectedAdam(steps=200), transfer, samples[:few]), few, slowly=True)
     yield Case("irradiance of all", shown(transfer, samples), count)
     yield Case("transport in harmonics, degree 5", projected(transfer))
+    yield Case("adaptive, at most 120 functions", adaptive(transfer, samples[:few]), few)
     yield Case("from samples to light, texels", explained(scene, transfer, samples[:few], tl.Texels(RESOLUTION)), few)
 
 
@@ -134,6 +136,18 @@ def projected(transfer: Transfer) -> Callable[[torch.device], Work]:
     def prepared(device: torch.device) -> Work:
         there, basis = transfer.to(device), tl.SphericalHarmonics(5, RESOLUTION)
         return lambda: there.project(basis)
+
+    return prepared
+
+
+def adaptive(transfer: Transfer, samples: Tensor) -> Callable[[torch.device], Work]:
+    """Returns the growth of trees; what the receiver shows is compared, since ties leave the trees open."""
+
+    def prepared(device: torch.device) -> Work:
+        there = samples.to(device)
+        seen = Observation(there, torch.ones_like(there[:, 0]))
+        columns, method = transfer.to(device), AdaptiveHaar(RESOLUTION, 120)
+        return lambda: solve_adaptive(columns, seen, method).irradiance
 
     return prepared
 

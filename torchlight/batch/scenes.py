@@ -128,7 +128,7 @@ def prepare(
     """
     seconds: dict[str, float] = {}
     basis, solver = named_method(config)
-    device = named_device(config.compute.device)
+    device = named_device(config.compute.device, solver)
     with timed(seconds, "scene"):
         scene = load_scene(path)
         check_budget(scene.receiver.points, texel_count(dense_resolution(basis, solver)))

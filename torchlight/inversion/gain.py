@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.errors import ConfigError
-from torchlight.inversion import growth
+from torchlight.inversion import growth, lockstep
 from torchlight.inversion.forest import Forest, Items, harvest, seedlings
 from torchlight.inversion.growth import SMALL, Pace
 from torchlight.inversion.nodes import product
@@ -94,12 +94,12 @@ def follow(items: Items, places: Int[Tensor, " k"]) -> Items:
 
 
 def grow_some(items: Items, forest: Forest, waiting: Int[Tensor, " k"], pace: Pace, bounds: Bounds) -> None:
-    """Grows the trees of some items in place: by the kernel on the CPU, elsewhere by its torch twin."""
+    """Grows the trees of some items in place: by the kernel on the CPU, elsewhere all of them in lockstep."""
     if items.targets.device.type == "cpu":
         for _ in ordered_map(lambda part: grow_compiled(items, forest, part, pace, bounds), parts(waiting)):
             pass
     else:
-        growth.grow(items, forest, waiting, pace, bounds)
+        lockstep.grow(items, forest, waiting, pace, bounds)
 
 
 def parts(waiting: Int[Tensor, " k"]) -> Iterator[Int[Tensor, " part"]]:

@@ -1,4 +1,4 @@
-"""Best-first growth by projected gain, in torch: what it does, readable, and the path for devices other than the CPU.
+"""Best-first growth by projected gain, in torch: what it does, readable; the oracle of what is fast.
 
 Item by item the loop is
 
@@ -9,7 +9,8 @@ Item by item the loop is
 
 until nothing gains enough, there is no room for more, or quarters must be cast first. Small trees may outgrow the
 budget and are then pruned: quarters that explain least are joined again. Growth spends divisions before it can see what
-pays only deeper; pruning takes back those that did not. `growth_kernel` is the same in compiled code, for the CPU.
+pays only deeper; pruning takes back those that did not. `growth_kernel` is the same in compiled code, for the CPU;
+`lockstep` is the same for many items at once, for other devices.
 """
 
 from __future__ import annotations

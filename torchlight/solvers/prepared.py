@@ -13,6 +13,7 @@ from torchlight.errors import ConfigError, ShapeError
 from torchlight.solvers.active_set import Limits
 from torchlight.solvers.batch import ITEMS_PER_TASK, minimize
 from torchlight.solvers.certificate import gap_along, kkt_cosine, nonzero_norm
+from torchlight.solvers.device_steps import alike, minimizers
 from torchlight.solvers.modulus import Modulus, modulus_of
 from torchlight.solvers.nnls import FULL_GRAM_COLUMNS, INNER_TOLERANCE, NNLS
 from torchlight.solvers.problem import check_like_matrix, check_matrix, check_weights
@@ -84,7 +85,9 @@ class PreparedNNLS:
             found[items], steps[items], ended = self._solved(b[items], tolerance)
             status[items] = torch.where(status[items] == Status.CONVERGED, ended, status[items])
 
-        for _ in single_threaded_map(fill, parts(b.shape[0], torch.get_num_threads())):
+        whole = [slice(0, b.shape[0])]
+        shares = parts(b.shape[0], torch.get_num_threads()) if b.device.type == "cpu" else whole
+        for _ in single_threaded_map(fill, shares):
             pass
         found[status == Status.NOT_FINITE, coeffs:] = torch.nan
         items = photos.shape[:2]
@@ -100,7 +103,10 @@ class PreparedNNLS:
         target /= size[:, None]
         linear = target @ self.columns
         start = self.guess.minimizers(linear)
-        z, steps = minimize(self.gram, linear, start, RIDGE, LIMITS, cosine=COSINE_KEPT * tolerance)
+        if b.device.type == "cpu":
+            z, steps = minimize(self.gram, linear, start, RIDGE, LIMITS, cosine=COSINE_KEPT * tolerance)
+        else:
+            z, steps = minimizers(alike(self.gram.gram, linear), start, RIDGE, LIMITS)  # exact: no step is saved
         residual = target - z @ self.columns.T
         w = residual @ self.columns
         ones = torch.ones_like(self.norms)
@@ -118,16 +124,14 @@ def prepare(matrix: Float[Tensor, "points coeffs"], weights: Float[Tensor, " poi
     """Returns what every photograph under one matrix and one set of weights needs.
 
     Args:
-        matrix: A, on the CPU; at most 4,096 of its columns may be seen.
+        matrix: A; at most 4,096 of its columns may be seen.
         weights: the diagonal of W; None = ones.
 
     Raises:
         ShapeError: matrix or weights hold forbidden values.
-        ConfigError: the matrix has no column that is seen, too many, or is not on the CPU.
+        ConfigError: the matrix has no column that is seen, or too many.
     """
     check_matrix("matrix", matrix)
-    if matrix.device.type != "cpu":
-        raise ConfigError(f"prepare: works on the CPU, got a matrix on {matrix.device}; use NNLS().solve there")
     weights = torch.ones_like(matrix[:, 0]) if weights is None else weights
     check_like_matrix("weights", weights, matrix)
     check_weights(weights, matrix.shape[:1])
@@ -143,7 +147,7 @@ def prepare(matrix: Float[Tensor, "points coeffs"], weights: Float[Tensor, " poi
     columns = columns[:, index] / norms
     gram = unit_gram(weighted_gram(columns, torch.ones_like(root)))
     guess = modulus_of(gram.gram)
-    return PreparedNNLS(seen, index, norms, root, columns, root @ columns, gram, guess, matrix)
+    return PreparedNNLS(seen, index, norms, root, columns, (root[None] @ columns)[0], gram, guess, matrix)
 
 
 def parts(items: int, threads: int) -> list[slice]:

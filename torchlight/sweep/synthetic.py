@@ -70,7 +70,7 @@ def measure_synthetic(config: Config, data: Synthetic, folder: Path) -> Measured
     receiver = Receiver((0.0, 0.0), data.plane, (data.samples, data.samples))
     scene = block_scene(data.seen, receiver)
     basis, solver = named_method(config)
-    device = named_device(config.compute.device)
+    device = named_device(config.compute.device, solver)
     shown = [photograph(light, data, receiver, folder) for light in data.lights]
     photos = torch.stack([receiver_image(photo, receiver) for photo, _ in shown]).float()
     observation = observe(linear_photo(photos.to(device)), scene)
