@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import logging
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, suppress
 from importlib import import_module
-from io import TextIOWrapper
+from importlib.util import find_spec
+from io import StringIO, TextIOWrapper
+from pathlib import Path
+from threading import Thread
 from types import ModuleType
+from typing import get_args
 
 import tyro
 
@@ -27,6 +32,7 @@ NOTHING_STARTED = 2
 INTERRUPTED = 130
 REFINE_POSE = ("--refine-pose", "--checks.refine-pose")
 PIPE_CLOSED = 141
+SOLVING = ("estimate", "batch", "joint", "demo", "sweep")
 DESCRIPTION = "Recovers light from shadows: photographs of a known object on a plane in, an HDR environment map out."
 
 
@@ -54,6 +60,9 @@ def parse(argv: Sequence[str] | None) -> arguments.Command:
         TorchlightError: one line that says what is wrong with them, or with the file of --config.
     """
     words = spelled_out(expanded(sys.argv[1:] if argv is None else argv))
+    command = parsed_alone(words)
+    if command is not None:
+        return command
     with complaint_in_one_line():
         return tyro.cli(
             tyro.conf.FlagCreatePairsOff[arguments.Command],  # pyright: ignore
@@ -61,6 +70,21 @@ def parse(argv: Sequence[str] | None) -> arguments.Command:
             prog="torchlight",
             description=DESCRIPTION,
         )
+
+
+def parsed_alone(words: Sequence[str]) -> arguments.Command | None:
+    """Returns the command by its own options alone, which takes a fifth of the time that those of all take.
+
+    None where there is something to explain: help, or what is wrong with the arguments.
+    """
+    kinds = {kind.__name__.lower(): kind for kind, _ in map(get_args, get_args(arguments.Command))}
+    if not words or words[0] not in kinds or {"-h", "--help"} & set(words):
+        return None
+    try:
+        with redirect_stderr(StringIO()):
+            return tyro.cli(tyro.conf.FlagCreatePairsOff[kinds[words[0]]], args=words[1:])  # pyright: ignore
+    except SystemExit:
+        return None
 
 
 def spelled_out(argv: Sequence[str]) -> list[str]:
@@ -95,12 +119,27 @@ def loaded(name: str) -> ModuleType:
     """Returns a command's module with all that it needs.
 
     What importing makes stays to the end: the garbage collector need not look through it, neither meanwhile nor later.
+    Commands that solve first import what does not need torch, whose libraries another thread loads meanwhile.
     """
     gc.disable()
+    if name in SOLVING:
+        loading = Thread(target=load_libraries_of_torch)
+        loading.start()
+        import_module("numba")
+        loading.join()
     module = import_module(f"torchlight.cli.{name}")
     gc.freeze()
     gc.enable()
     return module
+
+
+def load_libraries_of_torch() -> None:
+    """Loads the largest library of torch, which takes a fifth of its import and holds up no other thread meanwhile."""
+    found = find_spec("torch")
+    for folder in (found.submodule_search_locations if found else None) or []:
+        for library in (Path(folder) / "lib").glob("libtorch_cpu.*"):
+            with suppress(OSError):  # the import itself says what is wrong
+                ctypes.CDLL(str(library))
 
 
 def fail(message: str) -> None:
