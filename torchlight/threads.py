@@ -9,6 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from itertools import chain, islice
+from threading import Thread
 from typing import TypeVar
 
 import torch
@@ -81,6 +82,17 @@ def aside(task: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[lis
         yield [pool.submit(task, item).result for item in items]
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def begin_beside(task: Callable[[], object]) -> None:
+    """Begins a task on a thread of its own, whose calls of torch work on that thread alone; nothing waits for it."""
+    torch.get_num_threads()  # or this thread, should it ask later, would find the number that the other one has set
+
+    def alone() -> None:
+        with single_threaded():
+            task()
+
+    Thread(target=alone, daemon=True).start()
 
 
 def single_threaded_map(task: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

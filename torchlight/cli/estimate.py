@@ -8,7 +8,6 @@ from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from threading import Thread
 
 from torchlight.analysis.verdict import excess
 from torchlight.batch.blocks import PHOTOS_PER_SOLVE
@@ -22,7 +21,7 @@ from torchlight.io.atomic import check_writable
 from torchlight.io.images import read_photo
 from torchlight.light.synthesis import prepare_map
 from torchlight.method import named_method
-from torchlight.threads import aside, single_threaded
+from torchlight.threads import aside, begin_beside
 from torchlight.transfer import Transfer
 
 SOME_FAILED = 1
@@ -57,12 +56,12 @@ def get_ready(command: arguments.Estimate) -> None:
     """Begins, on a thread of its own, what is needed only once there is light: Matplotlib, the shares of map pixels."""
 
     def begin() -> None:
-        with suppress(TorchlightError), single_threaded():  # whoever needs it will say so
+        with suppress(TorchlightError):  # whoever needs it will say so
             prepare_map(named_method(command.settings)[0])
             if not command.settings.output.skip_pictures:
                 import_module("torchlight.fates")
 
-    Thread(target=begin, daemon=True).start()
+    begin_beside(begin)
 
 
 def check_places(command: arguments.Estimate) -> None:
