@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import ctypes
-import gc
+import atexit
 import logging
 import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, suppress
-from importlib import import_module
-from importlib.util import find_spec
 from io import StringIO, TextIOWrapper
-from pathlib import Path
-from threading import Thread
-from types import ModuleType
 from typing import get_args
 
 import tyro
 
 from torchlight.cli import arguments
 from torchlight.cli.config_option import expanded
+from torchlight.cli.loading import loaded
 from torchlight.cli.usage import complaint_in_one_line
 from torchlight.errors import TorchlightError
 
@@ -32,8 +27,30 @@ NOTHING_STARTED = 2
 INTERRUPTED = 130
 REFINE_POSE = ("--refine-pose", "--checks.refine-pose")
 PIPE_CLOSED = 141
-SOLVING = ("estimate", "batch", "joint", "demo", "sweep")
 DESCRIPTION = "Recovers light from shadows: photographs of a known object on a plane in, an HDR environment map out."
+
+
+def program() -> None:
+    """Runs `main` as what a process is there for, and ends the process without taking its modules apart.
+
+    That would take a quarter of a second. What is registered for the end is still done.
+    """
+    codes: list[int] = []
+
+    def leave() -> None:
+        if codes:
+            with suppress(OSError):  # nobody reads it any more
+                sys.stdout.flush()
+                sys.stderr.flush()
+            os._exit(codes[0])
+
+    atexit.register(leave)  # before all others, so called after them
+    try:
+        main()
+    except SystemExit as stop:
+        if isinstance(stop.code, int):
+            codes.append(stop.code)
+        raise
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -113,33 +130,6 @@ def run(command: arguments.Command) -> int:
     except KeyboardInterrupt:
         fail("interrupted; what was finished is complete, the rest was not written")
         return INTERRUPTED
-
-
-def loaded(name: str) -> ModuleType:
-    """Returns a command's module with all that it needs.
-
-    What importing makes stays to the end: the garbage collector need not look through it, neither meanwhile nor later.
-    Commands that solve first import what does not need torch, whose libraries another thread loads meanwhile.
-    """
-    gc.disable()
-    if name in SOLVING:
-        loading = Thread(target=load_libraries_of_torch)
-        loading.start()
-        import_module("numba")
-        loading.join()
-    module = import_module(f"torchlight.cli.{name}")
-    gc.freeze()
-    gc.enable()
-    return module
-
-
-def load_libraries_of_torch() -> None:
-    """Loads the largest library of torch, which takes a fifth of its import and holds up no other thread meanwhile."""
-    found = find_spec("torch")
-    for folder in (found.submodule_search_locations if found else None) or []:
-        for library in (Path(folder) / "lib").glob("libtorch_cpu.*"):
-            with suppress(OSError):  # the import itself says what is wrong
-                ctypes.CDLL(str(library))
 
 
 def fail(message: str) -> None:
