@@ -32,6 +32,7 @@ from torchlight.pipeline import Estimate
 from torchlight.placement.report import Placement
 from torchlight.preview import preview
 from torchlight.solvers import Status
+from torchlight.threads import aside
 
 CONVENTION = "torchlight: Z up, row 0 = zenith, image centre looks along +X (Blender's lat-long)"
 ZERO = 1e-9  # of the largest coefficient: counted as nonzero above it
@@ -135,9 +136,10 @@ def write_result(
     Raises:
         FormatError: the folder exists and `overwrite` is False, or it cannot be written.
     """
-    shown = preview(estimate.light)
+    with aside(preview, [estimate.light]) as (previewed,):
+        pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
+        shown = previewed()
     result = {**summary(estimate, scene, provenance), "preview_clipped_flux": shown.clipped_flux}
-    pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in ("method", "resolution", "photo_sha256", "scene_sha256", "light_is")}
         write_light(partial / "light.exr", estimate.light, metadata)

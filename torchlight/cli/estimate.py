@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 
 from torchlight.analysis.verdict import excess
@@ -15,6 +14,7 @@ from torchlight.batch.ending import Ended, failure, nearness, solved, write
 from torchlight.batch.looking import Looked, look
 from torchlight.batch.scenes import Shared, prepare
 from torchlight.cli import NOTHING_STARTED, arguments, fail
+from torchlight.cli.loading import load_drawing
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError, TorchlightError
 from torchlight.io.atomic import check_writable
@@ -59,7 +59,7 @@ def get_ready(command: arguments.Estimate) -> None:
         with suppress(TorchlightError):  # whoever needs it will say so
             prepare_map(named_method(command.settings)[0])
             if not command.settings.output.skip_pictures:
-                import_module("torchlight.fates")
+                load_drawing()
 
     begin_beside(begin)
 

@@ -39,6 +39,12 @@ def loaded(name: str) -> ModuleType:
     return module
 
 
+def load_drawing() -> None:
+    """Loads what draws pictures, without the manual that Matplotlib writes for its classes: a quarter of its import."""
+    import_module("matplotlib.artist").kwdoc = lambda artist: ""
+    import_module("torchlight.fates")
+
+
 def load_library_of_torch() -> None:
     """Loads the largest library of torch, a fifth of its import; no other thread is held up meanwhile."""
     found = find_spec("torch")
