@@ -15,7 +15,7 @@ import tyro
 
 from torchlight.cli import arguments
 from torchlight.cli.config_option import expanded
-from torchlight.cli.loading import loaded
+from torchlight.cli.loading import begin, loaded
 from torchlight.cli.usage import complaint_in_one_line
 from torchlight.errors import TorchlightError
 
@@ -45,6 +45,7 @@ def program() -> None:
             os._exit(codes[0])
 
     atexit.register(leave)  # before all others, so called after them
+    begin(sys.argv[1:])
     try:
         main()
     except SystemExit as stop:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
@@ -14,29 +14,34 @@ from threading import Thread
 from types import ModuleType
 
 SOLVING = ("estimate", "batch", "joint", "demo", "sweep")
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
-KEPT = 2**30  # bytes
+# of malloc.h: how much of the heap's end is kept, from which size on a tensor gets pages of its own (no more is
+# allowed), and how many heaps there are for threads to share
+MALLOPT = {"M_TRIM_THRESHOLD": (-1, 2**29), "M_MMAP_THRESHOLD": (-3, 2**25), "M_ARENA_MAX": (-8, 2)}
 
 
 def loaded(name: str) -> ModuleType:
     """Returns a command's module with all that it needs.
 
     What importing makes stays to the end: the garbage collector need not look through it, neither meanwhile nor later.
-    Commands that solve first import Numba, which does without torch; another thread loads torch's library meanwhile.
+    Commands that solve first import Numba, which does without torch, whose library is loaded meanwhile (`begin`).
     """
     gc.disable()
-    if name in SOLVING:
+    if name == "estimate":
         keep_freed_memory()
-        loading = Thread(target=load_library_of_torch)
-        loading.start()
+    if name in SOLVING:
         # Numba would import it for the sake of np.dot, which no kernel calls
         with hidden("scipy.linalg"), suppress(ImportError):
             import_module("numba.np.arraymath")
-        loading.join()
     module = import_module(f"torchlight.cli.{name}")
     gc.freeze()
     gc.enable()
     return module
+
+
+def begin(words: Sequence[str]) -> None:
+    """Begins, on a thread of its own, to load what the command of a process will need first."""
+    if words and words[0] in SOLVING and not {"-h", "--help"} & set(words):
+        Thread(target=load_library_of_torch, daemon=True).start()
 
 
 def load_drawing() -> None:
@@ -55,12 +60,14 @@ def load_library_of_torch() -> None:
 
 
 def keep_freed_memory() -> None:
-    """Has the C library keep up to 1 GiB of freed memory: else every large tensor gets new pages, which are cleared."""
-    if sys.platform == "linux":
-        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
-        if mallopt is not None:
-            mallopt(M_MMAP_THRESHOLD, KEPT)
-            mallopt(M_TRIM_THRESHOLD, KEPT)
+    """Has the C library keep what tensors free for those that come: new pages must be cleared first.
+
+    That is a fifth of a second of an estimate. For a process that ends soon.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None  # musl has none
+    if mallopt is not None:
+        for parameter, value in MALLOPT.values():
+            mallopt(parameter, value)
 
 
 @contextmanager
