@@ -71,7 +71,7 @@ def place(folder: Path, index: int) -> Path:
 def run(folder: Path) -> str:
     """Returns what `torchlight batch` prints."""
     call = ["batch", "day/*.png", "--scene", "block.yaml", "--out", "lights", "--workers", "0", "--skip-near-test"]
-    command = [sys.executable, "-c", "from torchlight.cli import main; main()", *call]
+    command = [sys.executable, "-c", "from torchlight.cli import program; program()", *call]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     print(done.stdout, done.stderr)
     return done.stdout.splitlines()[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from io import BytesIO
 
@@ -92,60 +91,6 @@ def test_any_receiver_gives_a_picture_of_reasonable_size(size: tuple[float, floa
     image = pixels(figures.fit_picture(seen, seen.samples, replace(RECEIVER, size=size), "mm", "title"))
     assert 200 < image.shape[0] < 1500
     assert 1000 < image.shape[1] < 2000
-
-
-# --- the preview ---------------------------------------------------------------------------------------------------
-
-
-def lamp(value: float) -> EnvironmentMap:
-    """A sky of 1 with one pixel of another value at the zenith's row."""
-    radiance = torch.ones(3, 16, 32, dtype=torch.float64)
-    radiance[:, 4, 7] = value
-    return EnvironmentMap(radiance)
-
-
-def test_the_preview_has_one_exposure_for_all() -> None:
-    shown = figures.preview(lamp(1.0))
-    assert shown.scale == pytest.approx(0.8)
-    assert shown.clipped_flux == pytest.approx(0.0, abs=1e-9)
-    assert (pixels(shown.png) == 231).all()  # 0.8 in sRGB
-    assert pixels(shown.png).shape == (16, 32, 3)
-
-
-def test_clipped_flux_is_what_lies_above_white() -> None:
-    shown = figures.preview(lamp(1000.0))
-    heights = np.arange(17) * math.pi / 16
-    flux = np.clip(np.cos(heights[:-1]) ** 2 - np.cos(heights[1:]) ** 2, 0, None) / 32  # of pi: sin^2 per row
-    flux[8:] = 0
-    total = flux.sum() * 32 + 999 * flux[4]
-    lost = flux[4] * (1000 - 1 / shown.scale)
-    assert shown.clipped_flux == pytest.approx(lost / total, rel=1e-6)
-
-
-def test_the_exposure_does_not_matter() -> None:
-    dim = figures.preview(EnvironmentMap(lamp(50.0).radiance * 1e-6))
-    assert dim.png == figures.preview(lamp(50.0)).png
-    assert dim.clipped_flux == pytest.approx(figures.preview(lamp(50.0)).clipped_flux, rel=1e-6)
-
-
-def test_black_and_negative_light_have_a_preview() -> None:
-    black = figures.preview(EnvironmentMap(torch.zeros(3, 8, 16)))
-    assert (black.clipped_flux, pixels(black.png).max()) == (0.0, 0)
-    mixed = torch.ones(3, 8, 16)
-    mixed[:, 2:] = -1
-    shown = figures.preview(EnvironmentMap(mixed, nonnegative=False))
-    assert (pixels(shown.png)[2:] == 0).all()
-    assert shown.clipped_flux == pytest.approx(0.0, abs=1e-9)
-
-
-def test_srgb_literals() -> None:
-    linear = torch.tensor([-1.0, 0.0, 0.0031308, 0.5, 1.0, 7.0]).expand(3, 1, 6)
-    assert figures.to_srgb8(linear)[0, :, 0].tolist() == [0, 0, 10, 188, 255, 255]
-
-
-def test_png_round_trip() -> None:
-    image = np.random.default_rng(0).integers(0, 256, (5, 7, 4), dtype=np.uint8)
-    assert np.array_equal(pixels(figures.encode_png(image)), image)
 
 
 # --- both lights, and the story ------------------------------------------------------------------------------------

@@ -176,4 +176,4 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel: Path) -> None:
 def test_the_wheel_offers_the_command(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         entry_points = archive.read(f"torchlight-{project()['version']}.dist-info/entry_points.txt").decode()
-    assert "torchlight = torchlight.cli:main" in entry_points.splitlines()
+    assert "torchlight = torchlight.cli:program" in entry_points.splitlines()

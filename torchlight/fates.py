@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchlight.figures import add_axes, png_bytes
 from torchlight.inversion.quadtree import Quadtree, quadtree, spread, squares
-from torchlight.inversion.refinement import Fate, Refinement, needed
+from torchlight.inversion.refinement import NAMES, Fate, Refinement, fate_counts, needed
 from torchlight.light import cubemap
 
 COLOURS = {  # after Okabe and Ito: told apart with every common colour blindness, and in grey
@@ -30,14 +30,6 @@ COLOURS = {  # after Okabe and Ito: told apart with every common colour blindnes
     Fate.UNSEEN: "#2B2B2B",
     Fate.LIMIT: "#CC79A7",
     Fate.UNSOLVED: "#009E73",
-}
-NAMES = {
-    Fate.RESOLVED: "resolved",
-    Fate.BELOW_THRESHOLD: "below threshold",
-    Fate.ILL_CONDITIONED: "ill-conditioned",
-    Fate.UNSEEN: "unseen",
-    Fate.LIMIT: "limit",
-    Fate.UNSOLVED: "unsolved",
 }
 CHANNELS = ("red", "green", "blue")
 PLACES = {"+y": 0, "+x": 1, "-y": 2, "-x": 3, "+z": 1}  # faces to the left of each
@@ -103,23 +95,6 @@ def draw_counts(axis: Axes, counts: Int[Tensor, "levels fates"]) -> None:
         for level, count in enumerate(counts[:, fates[column - 1]].tolist() if column else range(len(counts))):
             axis.text(column + 0.5, HEAD_ROWS + level + 0.5, str(count), **style)
     axis.hlines([0, *(HEAD_ROWS + level for level in range(len(counts) + 1))], 0, len(head), color="0.8", linewidth=1)
-
-
-def fate_counts(
-    tree: Quadtree, kept: Bool[Tensor, " coeffs"], fate: Int[Tensor, " supports"]
-) -> Int[Tensor, "levels fates"]:
-    """Returns the number of supports per level and `Fate` that were asked: the roots, and quarters of divided ones.
-
-    Level j holds squares of 2^-j times a face's side; side faces begin at level 1 with their upper half. Supports
-    within an undivided one share its fate and are not counted.
-    """
-    divided = torch.zeros_like(tree.level, dtype=torch.bool)
-    divided[tree.supports] = needed(tree, kept)
-    parent = tree.parent[tree.supports]
-    asked = (parent < 0) | divided[parent.clamp(min=0)]
-    levels = int(tree.level.max())
-    index = tree.level[tree.supports][asked] * len(Fate) + fate[asked]
-    return torch.bincount(index, minlength=levels * len(Fate)).reshape(levels, len(Fate))
 
 
 def texel_fates(tree: Quadtree, fate: Int[Tensor, " supports"]) -> Int[Tensor, " texels"]:

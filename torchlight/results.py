@@ -14,12 +14,11 @@ from typing import Any
 from safetensors.torch import save
 from torch import Tensor
 
-from torchlight import figures, metrics
+from torchlight import metrics
 from torchlight.camera import Camera
-from torchlight.fates import NAMES, fate_counts, fates_picture
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.quadtree import quadtree
-from torchlight.inversion.refinement import Fate, Refinement
+from torchlight.inversion.refinement import NAMES, Fate, Refinement, fate_counts
 from torchlight.io.atomic import partial_folder, write_atomically
 from torchlight.io.exif import Exif
 from torchlight.io.files import one_line
@@ -31,7 +30,9 @@ from torchlight.near_light.verdict import NearLight
 from torchlight.photo.observation import Observation, Rejection
 from torchlight.pipeline import Estimate
 from torchlight.placement.report import Placement
+from torchlight.preview import preview
 from torchlight.solvers import Status
+from torchlight.threads import aside
 
 CONVENTION = "torchlight: Z up, row 0 = zenith, image centre looks along +X (Blender's lat-long)"
 ZERO = 1e-9  # of the largest coefficient: counted as nonzero above it
@@ -135,14 +136,15 @@ def write_result(
     Raises:
         FormatError: the folder exists and `overwrite` is False, or it cannot be written.
     """
-    preview = figures.preview(estimate.light)
-    result = {**summary(estimate, scene, provenance), "preview_clipped_flux": preview.clipped_flux}
-    pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
+    with aside(preview, [estimate.light]) as (previewed,):
+        pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
+        shown = previewed()
+    result = {**summary(estimate, scene, provenance), "preview_clipped_flux": shown.clipped_flux}
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in ("method", "resolution", "photo_sha256", "scene_sha256", "light_is")}
         write_light(partial / "light.exr", estimate.light, metadata)
         write_light(partial / "light.hdr", estimate.light, {})
-        write_atomically(partial / "light.png", preview.png)
+        write_atomically(partial / "light.png", shown.png)
         for name, picture in pictures.items():
             write_atomically(partial / name, picture)
         write_atomically(partial / "estimate.safetensors", save(tensors(estimate)))
@@ -153,11 +155,12 @@ def write_result(
 
 def evidence(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[str, bytes]:
     """Returns the pictures of an estimate by file name: fit.png and, of the adaptive method, refinement.png."""
+    from torchlight.fates import fates_picture  # with Matplotlib, which nothing else here needs
+    from torchlight.figures import fit_picture
+
     rms, used = number(estimate.rms_255), visibility(estimate.observation)["visible"]
     title = f"{one_line(Path(provenance.photo).name, 80)}: RMS {rms:.2f} of 255, {used} samples"
-    drawn = {
-        "fit.png": figures.fit_picture(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)
-    }
+    drawn = {"fit.png": fit_picture(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)}
     if estimate.refinement is not None:
         drawn["refinement.png"] = fates_picture(estimate.refinement, estimate.basis.resolution)
     return drawn

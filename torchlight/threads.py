@@ -7,7 +7,9 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from itertools import chain, islice
+from threading import Thread
 from typing import TypeVar
 
 import torch
@@ -49,7 +51,7 @@ def ordered_map(task: Callable[[Item], Result], items: Iterable[Item], count: in
     if count == 1 or len(some) < 2:
         yield from map(task, remaining)
         return
-    with ThreadPoolExecutor(count) as pool:
+    with workers(count) as pool:
         try:
             waiting: deque[Future[Result]] = deque(pool.submit(task, item) for item in islice(remaining, 2 * count))
             while waiting:
@@ -59,6 +61,38 @@ def ordered_map(task: Callable[[Item], Result], items: Iterable[Item], count: in
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def workers(count: int) -> ThreadPoolExecutor:
+    """Returns that many threads, each of whose calls of torch works on as many threads as the caller's do."""
+    return ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(torch.get_num_threads(),))
+
+
+@contextmanager
+def aside(task: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[list[Callable[[], Result]]]:
+    """Has task(item) done for one item after another by a thread beside the caller's; gives what waits for each result.
+
+    Where one thread is to do all, a task is done when its result is asked for. At the end no task is left at work.
+    """
+    if thread_count() == 1:
+        yield [partial(task, item) for item in items]
+        return
+    pool = workers(1)
+    try:
+        yield [pool.submit(task, item).result for item in items]
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def begin_beside(task: Callable[[], object]) -> None:
+    """Begins a task on a thread of its own, whose calls of torch work on that thread alone; nothing waits for it."""
+    torch.get_num_threads()  # or this thread, should it ask later, would find the number that the other one has set
+
+    def alone() -> None:
+        with single_threaded():
+            task()
+
+    Thread(target=alone, daemon=True).start()
 
 
 def single_threaded_map(task: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

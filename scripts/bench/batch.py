@@ -124,7 +124,7 @@ def write_photo(path: Path, samples: Float[Tensor, "3 points"]) -> None:
 def batch(listed: Path, out: Path, count: int, workers: int, options: Sequence[str]) -> Run:
     """Returns what `torchlight batch` took for a manifest."""
     call = ["batch", str(listed), "--out", str(out), "--workers", str(workers), *options]
-    command = [sys.executable, "-c", "from torchlight.cli import main; main()", *call]
+    command = [sys.executable, "-c", "from torchlight.cli import program; program()", *call]
     journal = out / "journal" / "shard-1-of-1.jsonl"
     resident: list[float] = []
     start = time.perf_counter()

@@ -69,7 +69,7 @@ def main(runs: int = 5, out: Path = OUT) -> None:
 
 def torchlight() -> list[str]:
     """Returns the words that run the command line by this very Python."""
-    return [sys.executable, "-c", "from torchlight.cli import main; main()"]
+    return [sys.executable, "-c", "from torchlight.cli import program; program()"]
 
 
 def peers() -> list[str]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from torchlight.analysis.verdict import excess
@@ -12,10 +14,14 @@ from torchlight.batch.ending import Ended, failure, nearness, solved, write
 from torchlight.batch.looking import Looked, look
 from torchlight.batch.scenes import Shared, prepare
 from torchlight.cli import NOTHING_STARTED, arguments, fail
+from torchlight.cli.loading import load_drawing
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError, TorchlightError
 from torchlight.io.atomic import check_writable
 from torchlight.io.images import read_photo
+from torchlight.light.synthesis import prepare_map
+from torchlight.method import named_method
+from torchlight.threads import aside, begin_beside
 from torchlight.transfer import Transfer
 
 SOME_FAILED = 1
@@ -28,6 +34,7 @@ def run(command: arguments.Estimate) -> int:
         TorchlightError: nothing could start.
     """
     check_places(command)
+    get_ready(command)
     with progress_bar("transport") as progress:
         use_cache = not command.settings.compute.no_cache
         shared = prepare(command.scene, command.settings, command.photos, use_cache, progress)
@@ -43,6 +50,18 @@ def run(command: arguments.Estimate) -> int:
     if failed and len(command.photos) > 1:
         fail(f"{failed} of {len(command.photos)} photographs failed; the others are complete in {command.out}")
     return SOME_FAILED if failed else 0
+
+
+def get_ready(command: arguments.Estimate) -> None:
+    """Begins, on a thread of its own, what is needed only once there is light: Matplotlib, the shares of map pixels."""
+
+    def begin() -> None:
+        with suppress(TorchlightError):  # whoever needs it will say so
+            prepare_map(named_method(command.settings)[0])
+            if not command.settings.output.skip_pictures:
+                load_drawing()
+
+    begin_beside(begin)
 
 
 def check_places(command: arguments.Estimate) -> None:
@@ -95,14 +114,16 @@ def usable_ones(shared: Shared, photos: Sequence[Path]) -> Iterator[Looked]:
 
 def solve_and_write(command: arguments.Estimate, shared: Shared, looked: Sequence[Looked]) -> Iterator[bool]:
     """Solves photographs together, writes each one's folder, and yields whether all went well."""
-    for group, one, estimate, seconds in solved(shared, looked):
-        folder = command.out / one.photo.stem
-        try:
-            ended = write(folder, group, one, estimate, nearness(group, one), seconds, command.overwrite)
-        except TorchlightError as error:
-            ended = Ended(one.photo, failure(error), warnings=one.warnings)
-        say_ended(folder, ended)
-        yield not ended.reason
+    with aside(partial(nearness, shared), looked) as answers:  # which need no light: it is sought meanwhile
+        near = {one.photo: answer for one, answer in zip(looked, answers, strict=True)}
+        for group, one, estimate, seconds in solved(shared, looked):
+            folder = command.out / one.photo.stem
+            try:
+                ended = write(folder, group, one, estimate, near[one.photo](), seconds, command.overwrite)
+            except TorchlightError as error:
+                ended = Ended(one.photo, failure(error), warnings=one.warnings)
+            say_ended(folder, ended)
+            yield not ended.reason
 
 
 def say_ended(folder: Path, ended: Ended) -> None:

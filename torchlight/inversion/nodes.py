@@ -76,7 +76,7 @@ class NodeColumns:
         """Returns the inner products of the weighted columns of the dense transport; made once for equal weights."""
         if self._weighed is None or not torch.equal(self._weighed[0], root):
             columns = self.dense * root
-            self._weighed = root, product(columns, columns)
+            self._weighed = root, own_product(columns)
         return self._weighed[1]
 
     def of(self, nodes: Int[Tensor, " k"]) -> Float[Tensor, "k points"]:
@@ -184,6 +184,22 @@ class WeightedNodes:
         self._columns.append(fresh)
         self._gram.append(product(fresh, self.columns))
         return fresh
+
+
+def own_product(rows: Float[Tensor, "n points"]) -> Float[Tensor, "n n"]:
+    """Returns the inner products of rows with each other, made above the diagonal and copied below, as `product` is."""
+    result = rows.new_empty(rows.shape[0], rows.shape[0])
+
+    def fill(start: int) -> None:
+        block = rows[start : start + ROWS_PER_TASK] @ rows[start:].T
+        square = block[:, : block.shape[0]].triu()
+        block[:, : block.shape[0]] = square + square.triu(1).T
+        result[start : start + ROWS_PER_TASK, start:] = block
+        result[start:, start : start + ROWS_PER_TASK] = block.T
+
+    for _ in single_threaded_map(fill, range(0, rows.shape[0], ROWS_PER_TASK)):
+        pass
+    return result
 
 
 def product(left: Float[Tensor, "n points"], right: Float[Tensor, "m points"]) -> Float[Tensor, "n m"]:

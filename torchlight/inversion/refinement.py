@@ -26,6 +26,16 @@ class Fate(IntEnum):
     UNSOLVED = 5
 
 
+NAMES = {
+    Fate.RESOLVED: "resolved",
+    Fate.BELOW_THRESHOLD: "below threshold",
+    Fate.ILL_CONDITIONED: "ill-conditioned",
+    Fate.UNSEEN: "unseen",
+    Fate.LIMIT: "limit",
+    Fate.UNSOLVED: "unsolved",
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Refinement:
     """Functions in use and the fate of every support, per photograph and channel.
@@ -111,6 +121,23 @@ def needed(tree: Quadtree, kept: Bool[Tensor, " coeffs"]) -> Bool[Tensor, " supp
         here = (tree.level == level) & inner & (tree.parent >= 0)
         inner[tree.parent[here]] = True
     return inner[tree.supports]
+
+
+def fate_counts(
+    tree: Quadtree, kept: Bool[Tensor, " coeffs"], fate: Int[Tensor, " supports"]
+) -> Int[Tensor, "levels fates"]:
+    """Returns the number of supports per level and `Fate` that were asked: the roots, and quarters of divided ones.
+
+    Level j holds squares of 2^-j times a face's side; side faces begin at level 1 with their upper half. Supports
+    within an undivided one share its fate and are not counted.
+    """
+    divided = torch.zeros_like(tree.level, dtype=torch.bool)
+    divided[tree.supports] = needed(tree, kept)
+    parent = tree.parent[tree.supports]
+    asked = (parent < 0) | divided[parent.clamp(min=0)]
+    levels = int(tree.level.max())
+    index = tree.level[tree.supports][asked] * len(Fate) + fate[asked]
+    return torch.bincount(index, minlength=levels * len(Fate)).reshape(levels, len(Fate))
 
 
 def unseen_supports(item: Item) -> Bool[Tensor, " supports"]:

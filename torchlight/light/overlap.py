@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 
 import torch
 from jaxtyping import Float, Int
@@ -30,6 +31,7 @@ NARROW = 2e-4  # radians; in narrower strips one node leaves 1e-6
 MAXIMUM_CORNER_RESOLUTION = 128  # beyond, the 0.6 N^2 corner azimuths cost too much: narrow strips replace them,
 STRIPS_PER_TEXEL = 32  # which leave a texel of the top face 3e-2 off at worst, 1e-3 typically
 CHUNK = 1_000_000  # crossings at once: about 300 MB
+_ONE_AT_A_TIME = Lock()
 Move = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
 
 
@@ -88,12 +90,18 @@ def latlong_to_cubemap(
     return values.unflatten(-1, (6, resolution, resolution))
 
 
-@lru_cache(maxsize=4)
 def plane_overlap(resolution: int, height: int) -> Overlap:
     """Returns the overlap of a lat-long image with a plane's visible texels, in float64 on the CPU.
 
-    The last few are kept, since every photograph of a batch is written at the same size.
+    The last few are kept, since every photograph of a batch is written at the same size; where one thread is at work
+    on it, others wait.
     """
+    with _ONE_AT_A_TIME:
+        return _plane_overlap(resolution, height)
+
+
+@lru_cache(maxsize=4)
+def _plane_overlap(resolution: int, height: int) -> Overlap:
     key, area = _upper_overlap(resolution, height)
     texels = 6 * resolution**2
     visible = cubemap.visible_texels(resolution)

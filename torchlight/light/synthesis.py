@@ -22,6 +22,12 @@ def map_height(basis: Basis) -> int:
     return max(512, min(8 * basis.resolution, 1024), 4 * basis.resolution) // 2
 
 
+def prepare_map(basis: Basis) -> None:
+    """Finds how map pixels and texels share the sphere, once per process: `synthesize` then need not."""
+    if not isinstance(basis, SphericalHarmonics):
+        overlap.plane_overlap(basis.resolution, map_height(basis))
+
+
 def synthesize(basis: Basis, coefficients: Float[Tensor, "*batch 3 coeffs"]) -> EnvironmentMap:
     """Returns the light with the given coefficients as a lat-long map; radiance below the plane is 0.
 

@@ -22,12 +22,15 @@ from torchlight.geometry.contours import Contours, scene_contours
 from torchlight.geometry.scene import Scene
 from torchlight.light import cubemap
 from torchlight.near_light.model import FINE, Shadow, quarters, stretched, worth_cutting
-from torchlight.solvers import NNLS, LeastSquares
+from torchlight.solvers.active_set import Limits
+from torchlight.solvers.batch import minimize
+from torchlight.solvers.shared_gram import unit_gram
 from torchlight.transfer import square_columns
 
 DIRECTIONS = 48  # along a face's edge,
 LEAST_DIRECTIONS = 3  # and along a square's
-RANK = 1e-13  # of the largest eigenvalue of A'A - B'B: what is less is rounding
+RIDGE = 1e-12  # of the unit diagonal of A'A - B'B: what is less is rounding
+LIMITS = Limits(tolerance=1e-10, max_steps=5000)
 
 Squares = Int[Tensor, "squares 4"]
 MoreSquares = Int[Tensor, "more 4"]
@@ -168,9 +171,9 @@ def fit(shadow: Shadow, height: Height, chosen: Int[Tensor, " squares"], shown: 
 
 
 def least(gram: Float[Tensor, "n n"], linear: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """Returns the least f' G f / 2 - c' f over f >= 0, as a problem of n rows: M = L^(1/2) V' of G = V L V'."""
-    values, vectors = torch.linalg.eigh(gram)
-    some = values > RANK * values[-1].clamp(min=1e-300)
-    roots, vectors = values[some].sqrt(), vectors[:, some]
-    problem = LeastSquares(roots[:, None] * vectors.T, ((vectors.T @ linear) / roots)[None])
-    return NNLS(tolerance=1e-7).solve(problem).coefficients[0]
+    """Returns the least f' G f / 2 - c' f over f >= 0."""
+    unit = unit_gram(gram)
+    scaled = linear * unit.inverse
+    size = scaled.max().clamp(min=1e-300)
+    found, _ = minimize(unit, (scaled / size)[None], torch.zeros_like(scaled)[None], RIDGE, LIMITS)
+    return found[0] * size * unit.inverse

@@ -14,12 +14,12 @@ from torchlight.analysis.nullity import CONSIDERABLY_LESS_THAN_1, TOLERANCE, Nul
 from torchlight.analysis.observability import DETERMINED, PRIOR
 from torchlight.analysis.spectrum import clamped_cosine
 from torchlight.analysis.verdict import BLIND, blind
-from torchlight.figures import to_srgb8
 from torchlight.geometry.scene import Scene
 from torchlight.io.atomic import partial_folder, write_atomically
 from torchlight.io.exr import write_exr
 from torchlight.io.files import read_bytes, sha256_of
 from torchlight.light.procedural import sun_and_window
+from torchlight.preview import to_srgb8
 from torchlight.report import charts, hemisphere
 from torchlight.report.case import Case
 from torchlight.results import CONVENTION, number, versions, write_json

@@ -16,6 +16,7 @@ from torchlight.io.exif import Exif
 from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
 from torchlight.joint import JointEstimate
+from torchlight.preview import preview
 from torchlight.results import (
     CONVENTION,
     found_light,
@@ -79,14 +80,14 @@ def write_joint(
         FormatError: the folder exists and `overwrite` is False, or it cannot be written.
     """
     estimate = joint.estimate
-    preview = figures.preview(estimate.light)
-    result = {**summary(joint, sources, told, asked), "preview_clipped_flux": preview.clipped_flux}
+    shown = preview(estimate.light)
+    result = {**summary(joint, sources, told, asked), "preview_clipped_flux": shown.clipped_flux}
     fits = [fit_picture(joint, sources[index], index) for index in range(len(sources))]
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in ("method", "resolution", "light_is")}
         write_light(partial / "light.exr", estimate.light, metadata)
         write_light(partial / "light.hdr", estimate.light, {})
-        write_atomically(partial / "light.png", preview.png)
+        write_atomically(partial / "light.png", shown.png)
         for index, fit in enumerate(fits):
             write_atomically(partial / f"fit_{index + 1}.png", fit)
         if estimate.refinement is not None:

@@ -1,0 +1,83 @@
+"""How a command's modules are loaded: all that takes long to import is imported here, in an order that saves time."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from threading import Thread
+from types import ModuleType
+
+SOLVING = ("estimate", "batch", "joint", "demo", "sweep")
+# of malloc.h: how much of the heap's end is kept, from which size on a tensor gets pages of its own (no more is
+# allowed), and how many heaps there are for threads to share
+MALLOPT = {"M_TRIM_THRESHOLD": (-1, 2**29), "M_MMAP_THRESHOLD": (-3, 2**25), "M_ARENA_MAX": (-8, 2)}
+
+
+def loaded(name: str) -> ModuleType:
+    """Returns a command's module with all that it needs.
+
+    What importing makes stays to the end: the garbage collector need not look through it, neither meanwhile nor later.
+    Commands that solve first import Numba, which does without torch, whose library is loaded meanwhile (`begin`).
+    """
+    gc.disable()
+    if name == "estimate":
+        keep_freed_memory()
+    if name in SOLVING:
+        # Numba would import it for the sake of np.dot, which no kernel calls
+        with hidden("scipy.linalg"), suppress(ImportError):
+            import_module("numba.np.arraymath")
+    module = import_module(f"torchlight.cli.{name}")
+    gc.freeze()
+    gc.enable()
+    return module
+
+
+def begin(words: Sequence[str]) -> None:
+    """Begins, on a thread of its own, to load what the command of a process will need first."""
+    if words and words[0] in SOLVING and not {"-h", "--help"} & set(words):
+        Thread(target=load_library_of_torch, daemon=True).start()
+
+
+def load_drawing() -> None:
+    """Loads what draws pictures, without the manual that Matplotlib writes for its classes: a quarter of its import."""
+    import_module("matplotlib.artist").kwdoc = lambda artist: ""
+    import_module("torchlight.fates")
+
+
+def load_library_of_torch() -> None:
+    """Loads the largest library of torch, a fifth of its import; no other thread is held up meanwhile."""
+    found = find_spec("torch")
+    for folder in (found.submodule_search_locations if found else None) or []:
+        for library in (Path(folder) / "lib").glob("libtorch_cpu.*"):
+            with suppress(OSError):  # the import itself says what is wrong
+                ctypes.CDLL(str(library))
+
+
+def keep_freed_memory() -> None:
+    """Has the C library keep what tensors free for those that come: new pages must be cleared first.
+
+    That is a fifth of a second of an estimate. For a process that ends soon.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None  # musl has none
+    if mallopt is not None:
+        for parameter, value in MALLOPT.values():
+            mallopt(parameter, value)
+
+
+@contextmanager
+def hidden(module: str) -> Iterator[None]:
+    """Lets a module be missing while others are imported that ask for it."""
+    if module in sys.modules:
+        yield
+        return
+    sys.modules[module] = None  # pyright: ignore[reportArgumentType]  (what the import system documents for this)
+    try:
+        yield
+    finally:
+        del sys.modules[module]
