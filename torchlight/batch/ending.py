@@ -21,7 +21,7 @@ from torchlight.geometry.scene import Scene
 from torchlight.io.files import one_line, reason
 from torchlight.near_light.verdict import NearLight, near_light
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import Estimate, explain, explain_robustly
+from torchlight.pipeline import Estimate, explain, explain_robustly, with_confidence
 from torchlight.precomputation import columns_for
 from torchlight.results import Provenance, select, write_result
 from torchlight.solvers import Status
@@ -120,7 +120,10 @@ def write(
         looked.scene.camera,
         near,
         warnings,
+        config.output.fill,
     )
+    if not config.output.skip_confidence:
+        estimate = with_confidence(estimate, shared.setting.scene, shared.columns, shared.solver)
     pictures = {} if config.output.skip_pictures else None
     result = write_result(folder, estimate, shared.setting.scene, provenance, overwrite, pictures)
     return Ended(looked.photo, "", result, warnings)
