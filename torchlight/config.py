@@ -94,6 +94,11 @@ class Output:
     """What the light has where the photograph determines nothing: below the plane, and where no sample sees it. none:
     0. constant: the mean of the rest. smooth: what continues the rest. It is cosmetics; see docs/results.md."""
 
+    @property
+    def reports(self) -> bool:
+        """Whether every photograph has a report.html."""
+        return not (self.skip_report or self.skip_pictures)
+
 
 @dataclass(frozen=True)
 class Config:

@@ -33,16 +33,16 @@ from torchlight.light.filling import constant_fill, smooth_fill
 from torchlight.light.latlong import row_solid_angles
 from torchlight.light.peaks import Peaks
 from torchlight.light_plane import LightPlane
+from torchlight.marking import marked_light
 from torchlight.near_light.verdict import NearLight
 from torchlight.photo.observation import Observation, Rejection
 from torchlight.pipeline import Estimate
 from torchlight.placement.report import Placement
-from torchlight.preview import marked_light
 from torchlight.solvers import Status
 
 LIGHT_KEYS = ("method", "resolution", "photo_sha256", "scene_sha256", "light_is", "fill")
 CONVENTION = "torchlight: Z up, row 0 = zenith, image centre looks along +X (Blender's lat-long)"
-Pages = Callable[[Estimate, Mapping[str, Any]], Mapping[str, bytes]]
+Pages = Callable[[Estimate, Mapping[str, Any], float], Mapping[str, bytes]]
 ZERO = 1e-9  # of the largest coefficient: counted as nonzero above it
 LIBRARIES = (
     "torchlight",
@@ -144,7 +144,8 @@ def write_result(
         provenance: where the result comes from.
         overwrite: replace an existing folder.
         pictures: PNG files by name; None = `evidence`.
-        pages: makes further files, by name, of the estimate (its light filled) and of what result.json holds.
+        pages: makes further files, by name, of the estimate (its light filled), of what result.json holds, and of
+            the factor from radiance to the values of light.png.
 
     Raises:
         FormatError: the folder exists and `overwrite` is False, or it cannot be written.
@@ -155,7 +156,7 @@ def write_result(
     confidence, light = estimate.confidence, estimate.light
     drawn = shown.png if confidence is None else marked_light(light.radiance, shown.scale, confidence, provenance.fill)
     pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
-    others = {} if pages is None else pages(estimate, result)
+    others = {} if pages is None else pages(estimate, result, shown.scale)
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in LIGHT_KEYS}
         write_light(partial / "light.exr", estimate.light, metadata)

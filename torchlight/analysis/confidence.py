@@ -179,7 +179,9 @@ def _of_functions(
     return torch.stack([spanned_deviation(gram, synthesis, zeros, sigma) for zeros in held])
 
 
-def _of_squares(nodes: NodeColumns, found: Found, weights: Float[Tensor, " points"]) -> Float[Tensor, "channels texels"]:
+def _of_squares(
+    nodes: NodeColumns, found: Found, weights: Float[Tensor, " points"]
+) -> Float[Tensor, "channels texels"]:
     """Returns the deviations of the squares of every channel's tree, spread over their texels."""
     tree, root = nodes.tree, weights.sqrt()
     kept = torch.zeros(0, 0, dtype=torch.bool) if found.kept is None else found.kept.cpu()

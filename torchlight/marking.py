@@ -39,9 +39,7 @@ def marked_light(
     return encode_png(np.concatenate([hatched(picture, doubtful, unseen), legend(picture.shape[1], fill)]))
 
 
-def hatched(
-    picture: NDArray[np.uint8], doubtful: NDArray[np.bool_], unseen: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
+def hatched(picture: NDArray[np.uint8], doubtful: NDArray[np.bool_], unseen: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Returns a picture with lines over what is doubtful, crossed lines over what is unseen."""
     rows, columns = np.indices(picture.shape[:2])
     size = max(1, picture.shape[1] // USUAL_WIDTH)
@@ -81,4 +79,3 @@ def swatches() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     ground = np.full_like(plain, GROUND[0])
     nothing = np.zeros(plain.shape[:2], dtype=bool)
     return hatched(plain, ~nothing, nothing), hatched(ground, nothing, ~nothing)
-
