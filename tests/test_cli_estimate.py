@@ -35,7 +35,10 @@ from torchlight.light.bases import SphericalHarmonics
 from torchlight.light.environment import luminance, power
 from torchlight.solvers.solution import Status
 
-FILES = ["estimate.safetensors", "fit.png", "light.exr", "light.hdr", "light.png", "result.json", "timing.json"]
+FILES = [
+    "confidence.exr", "estimate.safetensors", "fit.png", "light.exr", "light.hdr", "light.png", "report.html",
+    "result.json", "thumbnail.jpg", "timing.json",
+]  # fmt: skip
 CHANGED = RECTIFIED.replace
 
 
@@ -97,7 +100,7 @@ def ridge(tmp_path_factory: pytest.TempPathFactory, shared: Path) -> Made:
     return make(tmp_path_factory.mktemp("ridge"), shared, "--method", "sh", "--degree", 2, "--solver", "ridge")
 
 
-def test_one_folder_with_seven_files_and_nothing_else(made: Made) -> None:
+def test_one_folder_with_its_files_and_nothing_else(made: Made) -> None:
     assert contents(made.folder.parent) == ["block", *(f"block/{name}" for name in FILES)]
 
 

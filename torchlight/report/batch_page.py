@@ -14,6 +14,7 @@ from torchlight.report.markup import data_uri, document, listed, paragraph, sect
 
 MOST_ROWS = 5000
 MOST_FAILURES = 500
+STEP = 200  # rows that are laid out at first, and at each press of a button
 MOST_TAGS = 8
 
 
@@ -61,7 +62,7 @@ def batch_page(
         links: where to look for more of a photograph, relative to the page, by name.
     """
     shown = chosen(rows)
-    columns = (*COLUMNS, *tags(rows))
+    columns = [column for column in (*COLUMNS, *tags(rows)) if any(row.get(column.key) is not None for row in rows)]
     body = [
         f"<header><h1>{text(title)}</h1>",
         paragraph(summary(rows), "lead"),
@@ -132,7 +133,7 @@ def table(
     yield f'<table id="photographs" class="rows"><thead><tr>{"".join(heads)}</tr></thead><tbody>'
     for row in rows:
         yield line(row, columns, thumbnails.get(row["name"]), links.get(row["name"]))
-    yield "</tbody></table></div>"
+    yield f'</tbody></table></div><p><button type="button" id="more" data-step="{STEP}" hidden></button></p>'
 
 
 def heading(name: str, number: bool = False) -> str:
@@ -147,10 +148,10 @@ def line(row: Mapping[str, Any], columns: Sequence[Column], thumbnail: bytes | N
     image = "" if thumbnail is None else pair(thumbnail, row["name"])
     named = name if link is None else f'<a href="{text(address(link))}">{name}</a>'
     kind = ' class="failed"' if row["state"] == "failed" else ""
-    state = text(row["state"]) if not row["reason"] else f"{text(row['state'])}: {text(row['reason'])}"
-    wide = ' class="reason"' if row["reason"] else ""
     cells = "".join(cell(row.get(column.key), column.form) for column in columns)
-    return f'<tr{kind}><td>{image}</td><td class="name">{named}</td><td{wide}>{state}</td>{cells}</tr>'
+    if row["reason"] and columns:  # in place of the figures
+        cells = f'<td class="reason" colspan="{len(columns)}" data-value="">{text(row["reason"])}</td>'
+    return f'<tr{kind}><td>{image}</td><td class="name">{named}</td><td>{text(row["state"])}</td>{cells}</tr>'
 
 
 def pair(thumbnail: bytes, name: str) -> str:

@@ -144,7 +144,7 @@ def thumbnail(photo: bytes, radiance: Float[Tensor, "3 height width"], scale: fl
     rows, columns = THUMBNAIL_ROWS, THUMBNAIL_COLUMNS // 2
     factor = min(rows / stored.shape[0], columns / stored.shape[1])
     size = (max(1, round(stored.shape[1] * factor)), max(1, round(stored.shape[0] * factor)))
-    sheet = np.full((rows, 2 * columns, 3), 255, dtype=np.uint8)
+    sheet = np.full((rows, 2 * columns, 3), 128, dtype=np.uint8)
     left, top = (columns - size[0]) // 2, (rows - size[1]) // 2
     sheet[top : top + size[1], left : left + size[0]] = cv2.resize(stored, size, interpolation=cv2.INTER_AREA)
     upper = to_srgb8(radiance[:, : radiance.shape[1] // 2].double() * scale)
