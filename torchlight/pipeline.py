@@ -154,8 +154,11 @@ def with_confidence(
         transfer: the columns that the light was found with.
         solver: it was found with; None = as for `estimate`.
     """
-    solver = solver if solver is not None else AdaptiveHaar() if estimate.refinement is not None else None
-    solver = default_solver(estimate.basis) if solver is None else solver
+    if solver is None:
+        adaptive = estimate.refinement is not None
+        solver = AdaptiveHaar(estimate.basis.resolution) if adaptive else default_solver(estimate.basis)
+    if isinstance(solver, AdaptiveHaar):
+        transfer = fitting(scene, transfer, solver, estimate.observation.samples.device)
     observation = estimate.observation
     factor = albedo_over_pi(scene.receiver, observation.samples)
     received = replace(observation, samples=observation.samples / factor)

@@ -144,7 +144,7 @@ def deviations(
 ) -> Float[Tensor, "channels texels"]:
     """Returns the deviation of every texel's radiance, by the method that found it."""
     if isinstance(found.solver, AdaptiveHaar) and found.kept is not None:
-        nodes = node_columns(columns, found.solver.max_resolution)
+        nodes = node_columns(columns, found.basis.resolution)
         return _of_squares(nodes, found, weights)
     if not isinstance(columns, Transfer):
         raise ConfigError(f"{type(found.solver).__name__} needs a dense transport; make it with precompute")
