@@ -8,10 +8,12 @@ with browser() as page:
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -21,6 +23,9 @@ from typing import Any
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-pipe")
+AS_3_AND_4 = (
+    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); os.execv(sys.argv[3], sys.argv[3:])"
+)
 SECONDS = 60.0
 
 
@@ -121,20 +126,17 @@ def browser() -> Iterator[Page]:
     found = program()
     if found is None:
         raise FileNotFoundError(f"none of {', '.join(PROGRAMS)} is installed; on Debian: apt install chromium")
-    ours, theirs = os.pipe(), os.pipe()  # we write to the first, and read the second
+    (read, into), (out, write) = os.pipe(), os.pipe()
+    passed = tuple(fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (read, write))
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        command = [
-            "sh", "-c", f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}', found, *FLAGS, f"--user-data-dir={profile}"
-        ]  # fmt: skip
-        process = subprocess.Popen(
-            command, pass_fds=(ours[0], theirs[1]), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        os.close(ours[0])
-        os.close(theirs[1])
+        command = [sys.executable, "-c", AS_3_AND_4, *map(str, passed), found, *FLAGS, f"--user-data-dir={profile}"]
+        process = subprocess.Popen(command, pass_fds=passed, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for end in (read, write, *passed):
+            os.close(end)
         try:
-            yield Page(process, ours[1], theirs[0])
+            yield Page(process, into, out)
         finally:
-            os.close(ours[1])
-            os.close(theirs[0])
+            os.close(into)
+            os.close(out)
             process.terminate()
             process.wait(timeout=SECONDS)
