@@ -35,7 +35,10 @@ from torchlight.light.bases import SphericalHarmonics
 from torchlight.light.environment import luminance, power
 from torchlight.solvers.solution import Status
 
-FILES = ["estimate.safetensors", "fit.png", "light.exr", "light.hdr", "light.png", "result.json", "timing.json"]
+FILES = [
+    "confidence.exr", "estimate.safetensors", "fit.png", "light.exr", "light.hdr", "light.png", "report.html",
+    "result.json", "thumbnail.jpg", "timing.json",
+]  # fmt: skip
 CHANGED = RECTIFIED.replace
 
 
@@ -97,8 +100,63 @@ def ridge(tmp_path_factory: pytest.TempPathFactory, shared: Path) -> Made:
     return make(tmp_path_factory.mktemp("ridge"), shared, "--method", "sh", "--degree", 2, "--solver", "ridge")
 
 
-def test_one_folder_with_seven_files_and_nothing_else(made: Made) -> None:
+def test_one_folder_with_its_files_and_nothing_else(made: Made) -> None:
     assert contents(made.folder.parent) == ["block", *(f"block/{name}" for name in FILES)]
+
+
+def channels_of(path: Path) -> dict[str, Tensor]:
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {name: torch.from_numpy(channel.pixels.copy()) for name, channel in file.channels().items()}
+
+
+@pytest.mark.parametrize("which", ["made", "ridge"])
+def test_confidence_lies_beside_the_light_pixel_by_pixel(which: str, request: pytest.FixtureRequest) -> None:
+    here: Made = request.getfixturevalue(which)
+    planes = channels_of(here.folder / "confidence.exr")
+    height = read_light(here.folder / "light.exr").height
+    assert sorted(planes) == ["deviation.B", "deviation.G", "deviation.R", "observability"]
+    assert {plane.shape for plane in planes.values()} == {(height, 2 * height)}
+    upper, lower = planes["observability"][: height // 2], planes["observability"][height // 2 :]
+    assert 0 < upper.min() < upper.max() <= 1
+    assert int(lower.count_nonzero()) == 0
+    for name in "RGB":
+        deviation = planes[f"deviation.{name}"]
+        assert bool(deviation[: height // 2].isfinite().all())
+        assert bool((deviation[: height // 2] > 0).all())
+        assert bool(deviation[height // 2 :].isinf().all())
+    told = here.result["confidence"]
+    assert 0 < told["determined_share"] <= 1
+    assert told["texels_per_edge"] == 4
+    assert told["noise"] >= 0.999 * 0.4 / 255
+    assert here.result["fill"] == "none"
+
+
+def test_the_floor_is_filled_where_asked_and_nothing_else(made: Made, tmp_path: Path) -> None:
+    plain = read_light(made.folder / "light.exr").radiance
+    half = plain.shape[-2] // 2
+    assert int(plain[:, half:].count_nonzero()) == 0
+    for fill in ("constant", "smooth"):
+        out = tmp_path / fill
+        ran = estimate(made.scene, made.photo, out=out, options=("--fill", fill, "--skip-pictures"))
+        assert (ran.code, ran.err) == (0, "")
+        filled = read_light(out / "block/light.exr").radiance
+        assert torch.equal(filled[:, :half], plain[:, :half])
+        assert bool((filled[:, half:] > 0).all())
+        result = strict_json(out / "block/result.json")
+        assert result["fill"] == fill
+        same = ("rms_255", "preview_clipped_flux", "peak_direction", "confidence")
+        assert {key: result[key] for key in same} == {key: made.result[key] for key in same}
+
+
+def test_confidence_and_report_can_be_left_out(made: Made, tmp_path: Path) -> None:
+    options = ("--skip-confidence", "--skip-report")
+    assert estimate(made.scene, made.photo, out=tmp_path / "out", options=options).code == 0
+    left = {"confidence.exr", "report.html", "thumbnail.jpg"}
+    assert contents(tmp_path / "out/block") == [name for name in FILES if name not in left]
+    assert strict_json(tmp_path / "out/block/result.json")["confidence"] is None
+    ran = estimate(made.scene, made.photo, out=tmp_path / "no", options=("--skip-confidence", "--fill", "smooth"))
+    assert ran.code == 2
+    assert "--skip-confidence" in ran.line
 
 
 def test_rms_is_that_of_the_stored_coefficients(made: Made) -> None:

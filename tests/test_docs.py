@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import json
 import re
 from pathlib import Path
@@ -23,8 +24,10 @@ from torchlight.io.occluders import _PLACEMENT_KEYS, _SHAPES
 from torchlight.io.photo_keys import ENCODINGS, PHOTO_KEYS, REFERENCE_KEYS, REFERENCES
 from torchlight.io.scene_file import load_scene
 from torchlight.photo.observation import linear_photo
-from torchlight.pipeline import estimate
+from torchlight.pipeline import estimate, with_confidence
 from torchlight.precomputation import DIRECTIONS_PER_EDGE
+from torchlight.report.page import photo_files
+from torchlight.report.panels import photograph
 from torchlight.results import Provenance, select, write_result
 from torchlight.synthetic import block_scene
 from torchlight.transfer import transport
@@ -117,9 +120,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small result as `torchlight estimate` writes it by default."""
     scene = block_scene(Block((1.0, 0.6, 1.2)), Receiver((0.0, 0.0), (4.0, 4.0), (8, 8)))
     photo = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    found = estimate(linear_photo(photo), scene, solver=AdaptiveHaar(4, 20), transfer=transport(scene, 4, 4))
-    out = tmp_path_factory.mktemp("out") / "photo"
-    write_result(out, select(found, 0), scene, Provenance("", "", "photo.png", "adaptive", "nnls", {}))
+    columns = transport(scene, 4, 4)
+    found = select(estimate(linear_photo(photo), scene, solver=AdaptiveHaar(4, 20), transfer=columns), 0)
+    out, stored = tmp_path_factory.mktemp("out") / "photo", photograph(photo[0], linear=True)
+    pages = functools.partial(photo_files, stored, scene.receiver)
+    provenance = Provenance("", "", "photo.png", "adaptive", "nnls", {})
+    write_result(out, with_confidence(found, scene, columns), scene, provenance, pages=pages)
     return out
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from torch.testing import assert_close
 
 from torchlight.errors import FormatError, ShapeError, TorchlightWarning
 from torchlight.io import exr
-from torchlight.io.exr import REC709_D65, read_exr, write_exr
+from torchlight.io.exr import REC709_D65, read_exr, write_channels, write_exr
 from torchlight.io.exr_container import check_exr
 
 HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -192,3 +193,16 @@ def test_a_library_that_writes_other_pixels_is_found_out(tmp_path: Path, monkeyp
     with pytest.raises(FormatError, match=r"a\.exr: what was written does not read back the same"):
         write_exr(tmp_path / "a.exr", image(3), {})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_channels_of_layers_keep_their_names_and_infinities(tmp_path: Path) -> None:
+    planes = {name: torch.full((4, 8), float(k)) for k, name in enumerate(("deviation.R", "deviation.G", "share"))}
+    planes["deviation.B"] = torch.tensor([1.0, math.inf]).repeat(4, 4)
+    write_channels(tmp_path / "a.exr", planes, {"noise": 0.5})
+    with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
+        stored = {name: torch.from_numpy(channel.pixels.copy()) for name, channel in file.channels().items()}
+    assert stored.keys() == planes.keys()
+    assert all(torch.equal(stored[name], plane) for name, plane in planes.items())
+    image, metadata = read_exr(tmp_path / "a.exr")  # the only layer of three
+    assert torch.equal(image, torch.stack([planes[f"deviation.{name}"] for name in "RGB"]))
+    assert metadata == {"noise": 0.5}

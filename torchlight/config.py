@@ -86,7 +86,19 @@ class Output:
     """What is written for each photograph."""
 
     skip_pictures: Annotated[bool, arg(aliases=["--skip-pictures"])] = False
-    """Write the light and the numbers, but no fit.png and no refinement.png, which take a second per photograph."""
+    """Write the light and the numbers, but no fit.png, no refinement.png and no report.html of the photograph."""
+    skip_confidence: Annotated[bool, arg(aliases=["--skip-confidence"])] = False
+    """Do not ask how far the light can be trusted: no confidence.exr. See docs/results.md."""
+    skip_report: Annotated[bool, arg(aliases=["--skip-report"])] = False
+    """Write no report.html."""
+    fill: Annotated[Literal["none", "constant", "smooth"], arg(aliases=["--fill"])] = "none"
+    """What the light has where the photograph determines nothing: below the plane, and where no sample sees it. none:
+    0. constant: the mean of the rest. smooth: what continues the rest. It is cosmetics; see docs/results.md."""
+
+    @property
+    def reports(self) -> bool:
+        """Whether every photograph has a report.html."""
+        return not (self.skip_report or self.skip_pictures)
 
 
 @dataclass(frozen=True)

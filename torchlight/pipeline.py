@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchlight import metrics
+from torchlight.analysis.confidence import Confidence, Found, confidence
 from torchlight.errors import ConfigError
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.adaptive import AdaptiveHaar, solve_adaptive
@@ -50,6 +51,7 @@ class Estimate:
         peaks: directions of the strongest sources.
         refinement: functions in use and why no others, of the adaptive method; else None.
         noise: of a sample, as a share of the brightest, that the adaptive method was told or measured; else None.
+        confidence: how far the light can be trusted, of one photograph (`with_confidence`); None = not asked.
     """
 
     light: EnvironmentMap
@@ -60,6 +62,7 @@ class Estimate:
     peaks: Peaks
     refinement: Refinement | None = None
     noise: Float[Tensor, "*batch"] | None = None
+    confidence: Confidence | None = None
 
     @property
     def rms_255(self) -> Float[Tensor, "*batch"]:
@@ -138,6 +141,38 @@ def explain(
     peaks = find_peaks(basis, found.solution, light)
     predicted = factor * found.irradiance.to(factor)
     return Estimate(light, found.solution, basis, observation, predicted, peaks, found.refinement, found.noise)
+
+
+def with_confidence(
+    estimate: Estimate, scene: Scene, transfer: Columns, solver: Solver | AdaptiveHaar | None = None
+) -> Estimate:
+    """Returns the estimate of one photograph with how far its light can be trusted (`analysis.confidence`).
+
+    Args:
+        estimate: of one photograph.
+        scene: of the photograph.
+        transfer: the columns that the light was found with.
+        solver: it was found with; None = as for `estimate`.
+    """
+    if solver is None:
+        adaptive = estimate.refinement is not None
+        solver = AdaptiveHaar(estimate.basis.resolution) if adaptive else default_solver(estimate.basis)
+    if isinstance(solver, AdaptiveHaar):
+        transfer = fitting(scene, transfer, solver, estimate.observation.samples.device)
+    observation = estimate.observation
+    factor = albedo_over_pi(scene.receiver, observation.samples)
+    received = replace(observation, samples=observation.samples / factor)
+    noise = noise_share(received, scene.receiver.samples) if estimate.noise is None else estimate.noise
+    found = Found(
+        received,
+        estimate.predicted / factor,
+        estimate.basis,
+        solver,
+        estimate.solution.coefficients,
+        None if estimate.refinement is None else estimate.refinement.kept,
+        float(noise),
+    )
+    return replace(estimate, confidence=confidence(transfer, found))
 
 
 def explain_robustly(

@@ -5,27 +5,34 @@ from __future__ import annotations
 import functools
 import json
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors.torch import save
 from torch import Tensor
 
 from torchlight import metrics
+from torchlight.analysis.confidence import Confidence
+from torchlight.analysis.observability import DETERMINED, texel_solid_angles
 from torchlight.camera import Camera
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.quadtree import quadtree
 from torchlight.inversion.refinement import NAMES, Fate, Refinement, fate_counts
 from torchlight.io.atomic import partial_folder, write_atomically
 from torchlight.io.exif import Exif
+from torchlight.io.exr import write_channels
 from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
-from torchlight.light.environment import EnvironmentMap
+from torchlight.light.environment import LUMINANCE, EnvironmentMap, luminance
+from torchlight.light.filling import constant_fill, smooth_fill
+from torchlight.light.latlong import row_solid_angles
 from torchlight.light.peaks import Peaks
 from torchlight.light_plane import LightPlane
+from torchlight.marking import marked_light
 from torchlight.near_light.verdict import NearLight
 from torchlight.photo.observation import Observation, Rejection
 from torchlight.pipeline import Estimate
@@ -34,7 +41,9 @@ from torchlight.preview import preview
 from torchlight.solvers import Status
 from torchlight.threads import aside
 
+LIGHT_KEYS = ("method", "resolution", "photo_sha256", "scene_sha256", "light_is", "fill")
 CONVENTION = "torchlight: Z up, row 0 = zenith, image centre looks along +X (Blender's lat-long)"
+Pages = Callable[[Estimate, Mapping[str, Any], float], Mapping[str, bytes]]
 ZERO = 1e-9  # of the largest coefficient: counted as nonzero above it
 LIBRARIES = (
     "torchlight",
@@ -65,6 +74,7 @@ class Provenance:
         camera: of the photograph; None where it is rectified.
         near: what the photograph tells of the distance of its light; None where that was not asked or cannot be told.
         warnings: what is to be said of the photograph, one line each.
+        fill: what the light has where nothing was determined: none, constant or smooth.
     """
 
     scene_sha256: str
@@ -78,6 +88,7 @@ class Provenance:
     camera: Camera | None = None
     near: NearLight | None = None
     warnings: tuple[str, ...] = ()
+    fill: str = "none"
 
 
 def select(estimate: Estimate, item: int) -> Estimate:
@@ -120,10 +131,12 @@ def write_result(
     provenance: Provenance,
     overwrite: bool = False,
     pictures: Mapping[str, bytes] | None = None,
+    pages: Pages | None = None,
 ) -> dict[str, Any]:
     """Writes the folder of one photograph and returns what result.json holds.
 
-    light.exr, light.hdr and light.png (the light), the pictures, estimate.safetensors, result.json, timing.json.
+    light.exr, light.hdr and light.png (the light), the pictures, estimate.safetensors, result.json, timing.json; where
+    the estimate has its confidence, confidence.exr.
 
     Args:
         folder: to write.
@@ -132,6 +145,8 @@ def write_result(
         provenance: where the result comes from.
         overwrite: replace an existing folder.
         pictures: PNG files by name; None = `evidence`.
+        pages: makes further files, by name, of the estimate (its light filled), of what result.json holds, and of
+            the factor from radiance to the values of light.png.
 
     Raises:
         FormatError: the folder exists and `overwrite` is False, or it cannot be written.
@@ -139,18 +154,78 @@ def write_result(
     with aside(preview, [estimate.light]) as (previewed,):
         pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
         shown = previewed()
+    estimate = replace(estimate, light=filled(estimate, provenance.fill))
     result = {**summary(estimate, scene, provenance), "preview_clipped_flux": shown.clipped_flux}
+    confidence, light = estimate.confidence, estimate.light
+    drawn = shown.png if confidence is None else marked_light(light.radiance, shown.scale, confidence, provenance.fill)
+    others = {} if pages is None else pages(estimate, result, shown.scale)
     with partial_folder(folder, overwrite=overwrite) as partial:
-        metadata = {key: result[key] for key in ("method", "resolution", "photo_sha256", "scene_sha256", "light_is")}
+        metadata = {key: result[key] for key in LIGHT_KEYS}
         write_light(partial / "light.exr", estimate.light, metadata)
         write_light(partial / "light.hdr", estimate.light, {})
-        write_atomically(partial / "light.png", shown.png)
-        for name, picture in pictures.items():
+        write_atomically(partial / "light.png", drawn)
+        if confidence is not None:
+            write_confidence(partial / "confidence.exr", confidence, light.height, metadata)
+        for name, picture in {**pictures, **others}.items():
             write_atomically(partial / name, picture)
         write_atomically(partial / "estimate.safetensors", save(tensors(estimate)))
         write_json(partial / "timing.json", {"seconds": dict(provenance.seconds)})
         write_json(partial / "result.json", result)
     return result
+
+
+def filled(estimate: Estimate, fill: str) -> EnvironmentMap:
+    """Returns the light with what the photograph says nothing about filled; its other pixels stay as they are."""
+    if fill == "none" or estimate.confidence is None:
+        return estimate.light
+    unseen = estimate.confidence.unseen_map(estimate.light.height)
+    method = constant_fill if fill == "constant" else smooth_fill
+    radiance = method(estimate.light.radiance.detach().cpu(), unseen)
+    return replace(estimate.light, radiance=radiance, nonnegative=bool((radiance >= 0).all()))
+
+
+def write_confidence(path: Path, confidence: Confidence, height: int, metadata: Mapping[str, Any]) -> None:
+    """Writes confidence.exr: `observability` and `deviation.R`, `.G`, `.B`, pixel by pixel as light.exr."""
+    planes = {f"deviation.{name}": plane for name, plane in zip("RGB", confidence.deviation_map(height), strict=True)}
+    planes["observability"] = confidence.observability_map(height)
+    said = {
+        "deviation": "standard deviation of the radiance under noise; infinite where nothing was observed",
+        "observability": f"share of structure that is determined, on {confidence.coarse} texels along a face's edge",
+        "noise": confidence.noise,
+        "convention": "torchlight",
+    }
+    write_channels(path, planes, {**metadata, **said})
+
+
+def trusted(estimate: Estimate) -> dict[str, Any] | None:
+    """Returns how far the light can be trusted, ready for JSON; None where that was not asked."""
+    found = estimate.confidence
+    if found is None:
+        return None
+    return {
+        "determined_share": found.determined_share,
+        "determined_from": DETERMINED,
+        "texels_per_edge": found.coarse,
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "noise": found.noise,
+        "deviation_median": deviation_median(found, estimate.light),
+    }
+
+
+def deviation_median(found: Confidence, light: EnvironmentMap) -> float | None:
+    """Returns the median over the directions above the plane of the luminance's deviation, of the mean luminance.
+
+    The channels' noise is independent: variances add with the squares of the channels' weights in luminance.
+    """
+    weights = torch.tensor(LUMINANCE, dtype=torch.float64)
+    deviation = torch.linalg.vector_norm(weights[:, None] * found.deviation.double(), dim=0)
+    rows = row_solid_angles(light.height)[: light.height // 2]
+    brightness = luminance(light.radiance[:, : light.height // 2].cpu().double().mean(dim=-1))
+    mean = float((brightness * rows).sum() / rows.sum())
+    angles = texel_solid_angles(found.resolution)
+    order = deviation.argsort()
+    middle = int(torch.searchsorted(angles[order].cumsum(0), angles.sum() / 2))
+    return number(deviation[order[middle]] / mean) if mean > 0 else None
 
 
 def evidence(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[str, bytes]:
@@ -194,6 +269,8 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "rejected": rejected(observation),
         "saturated_samples": "dropped",
         **found_light(estimate, provenance.method, provenance.solver),
+        "confidence": trusted(estimate),
+        "fill": provenance.fill,
         "reference": scene.reference,
         "occluder_albedo": scene.occluder_albedo,
         "light_plane": stands(estimate.light.plane, provenance.near),

@@ -5,6 +5,7 @@ A photograph that cannot be used costs itself, never its neighbours: what it fai
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,9 +22,9 @@ from torchlight.geometry.scene import Scene
 from torchlight.io.files import one_line, reason
 from torchlight.near_light.verdict import NearLight, near_light
 from torchlight.photo.observation import Observation
-from torchlight.pipeline import Estimate, explain, explain_robustly
+from torchlight.pipeline import Estimate, explain, explain_robustly, with_confidence
 from torchlight.precomputation import columns_for
-from torchlight.results import Provenance, select, write_result
+from torchlight.results import Pages, Provenance, select, write_result
 from torchlight.solvers import Status
 from torchlight.solvers.solution import CAUSE_AND_CURE
 
@@ -120,10 +121,21 @@ def write(
         looked.scene.camera,
         near,
         warnings,
+        config.output.fill,
     )
+    if not config.output.skip_confidence:
+        estimate = with_confidence(estimate, shared.setting.scene, shared.columns, shared.solver)
     pictures = {} if config.output.skip_pictures else None
-    result = write_result(folder, estimate, shared.setting.scene, provenance, overwrite, pictures)
+    pages = pages_of(shared.setting.scene, looked) if config.output.reports else None
+    result = write_result(folder, estimate, shared.setting.scene, provenance, overwrite, pictures, pages)
     return Ended(looked.photo, "", result, warnings)
+
+
+def pages_of(scene: Scene, looked: Looked) -> Pages:
+    """Returns what makes the report of a photograph."""
+    from torchlight.report.page import photo_files  # at start-up nothing of it is needed
+
+    return functools.partial(photo_files, looked.picture, scene.receiver)
 
 
 def unusable_channels(estimate: Estimate) -> str:

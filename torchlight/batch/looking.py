@@ -19,6 +19,7 @@ from torchlight.near_light.height import height_sentence, lit_as_found
 from torchlight.near_light.verdict import NearLight, near_light
 from torchlight.observing import check_lit, linearize, observe, placed, visible_part
 from torchlight.photo.observation import LinearPhoto, Observation
+from torchlight.photo.radiometry import resolve_encoding
 from torchlight.placement import shadow, silhouette
 from torchlight.placement.report import Placement, sentence
 
@@ -38,6 +39,7 @@ class Looked:
         seconds: spent on it.
         notes: what was found about the scene, one line each.
         warnings: what is doubtful about it, one line each.
+        picture: of it, small, for its report (JPEG); empty where there is to be none.
     """
 
     photo: Path
@@ -50,6 +52,7 @@ class Looked:
     seconds: float = 0.0
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    picture: bytes = b""
 
 
 def look(setting: Setting, path: Path, stored: Photo, exposure: float | str | None = None) -> Looked:
@@ -74,7 +77,15 @@ def look(setting: Setting, path: Path, stored: Photo, exposure: float | str | No
     for refinement in refinements(setting.config):
         looked = refinement(setting, looked, linear)
     said = doubts.tone_mapped(stored, looked.observation, looked.scene)
-    return replace(looked, seconds=time.perf_counter() - start, warnings=(said,) if said else ())
+    small = shown(stored, scene) if setting.config.output.reports else b""
+    return replace(looked, seconds=time.perf_counter() - start, warnings=(said,) if said else (), picture=small)
+
+
+def shown(stored: Photo, scene: Scene) -> bytes:
+    """Returns a photograph as its report shows it."""
+    from torchlight.report.panels import photograph  # at start-up nothing of it is needed
+
+    return photograph(stored.pixels, resolve_encoding(scene.encoding, stored.bits) in ("linear", "raw"))
 
 
 def refinements(config: Config) -> Iterator[Callable[[Setting, Looked, LinearPhoto], Looked]]:

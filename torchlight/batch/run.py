@@ -6,7 +6,7 @@ pending  = entries - complete - failed before   nothing is done twice
 blocks   = of one scene, always the same        solved together
 reports  = engine(blocks, work)                 each photograph's folder appears whole
 journal += report.records                       done, or failed with the reason
-tables   = results.jsonl, results.csv
+tables   = results.jsonl, results.csv, report.html
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from shutil import rmtree
 from typing import Any
 
 from torchlight.batch.blocks import WHOLE, Block, Shard, blocks
+from torchlight.batch.report import write_report
 from torchlight.batch.table import record_of_complete, write_tables
 from torchlight.batch.work import Report, Task, complete, folder_of, work
 from torchlight.config import Config, leaves
@@ -124,14 +125,16 @@ def pending(batch: Batch, entry: Entry, ended: Mapping[str, Record]) -> bool:
 
 
 def merge(out: Path) -> list[dict[str, Any]]:
-    """Writes the tables of a batch from its folder alone and returns their rows.
+    """Writes the tables of a batch, and its report, from its folder alone and returns their rows.
 
     Raises:
         FormatError: the folder holds no batch.
     """
     if not (out / BATCH).is_file():
         raise FormatError(f"{out}: holds no batch (no {BATCH}); name the --out of torchlight batch")
-    return write_tables(out, read_entries([str(out / MANIFEST)], None))
+    rows = write_tables(out, read_entries([str(out / MANIFEST)], None))
+    write_report(out, rows)
+    return rows
 
 
 def finished(out: Path) -> bool:

@@ -95,6 +95,8 @@ def setting_with(scene: Scene, path: Path, config: Config, photos: Sequence[Path
 def check_options(config: Config, scene: Scene) -> None:
     """Raises ConfigError where settings contradict the scene or each other."""
     checks = config.checks
+    if config.output.fill != "none" and config.output.skip_confidence:
+        raise ConfigError("--fill needs to know what was not determined; leave --skip-confidence away")
     if checks.refine_pose == "silhouette":
         silhouette.check_seen(scene)
     if checks.estimate_height and scene.light_plane is not None:

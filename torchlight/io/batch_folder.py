@@ -5,6 +5,7 @@ OUT/manifest.jsonl        its photographs, in order
 OUT/journal/              how each ended, a file per shard
 OUT/photos/<name>/        a folder per photograph
 OUT/results.jsonl, .csv   a line per photograph, when the batch has ended or is merged
+OUT/report.html           the same to look at
 """
 
 from __future__ import annotations

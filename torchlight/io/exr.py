@@ -66,8 +66,28 @@ def write_exr(
     """
     if image.shape[0] not in _CHANNELS:
         raise ShapeError(f"{path}: expected 1, 3 or 4 channels, got {image.shape[0]}")
-    pixels = image.detach().to(device="cpu", dtype=torch.float32).numpy()
-    channels = {name: np.ascontiguousarray(plane) for name, plane in zip(_CHANNELS[len(pixels)], pixels, strict=True)}
+    write_channels(path, dict(zip(_CHANNELS[image.shape[0]], image, strict=True)), metadata, openexr_envmap)
+
+
+def write_channels(
+    path: str | Path,
+    planes: Mapping[str, Float[Tensor, "height width"]],
+    metadata: Mapping[str, Any],
+    openexr_envmap: bool = False,
+) -> None:
+    """Writes channels of any name, such as those of layers ("deviation.R").
+
+    Args:
+        path: destination; it appears complete or not at all.
+        planes: values of each channel, stored as float32.
+        metadata: anything JSON can hold.
+        openexr_envmap: as for `write_exr`.
+
+    Raises:
+        FormatError: the file cannot be written.
+    """
+    pixels = {name: plane.detach().to(device="cpu", dtype=torch.float32).numpy() for name, plane in planes.items()}
+    channels = {name: np.ascontiguousarray(plane) for name, plane in pixels.items()}
     header: dict[str, Any] = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
