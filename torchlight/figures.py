@@ -154,6 +154,13 @@ def encode_png(image: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
+def decode_png(data: bytes) -> np.ndarray:
+    """Returns the pixels of an 8-bit picture, which may be written to."""
+    from PIL import Image
+
+    return np.array(Image.open(BytesIO(data)))
+
+
 def png_bytes(figure: Figure) -> bytes:
     """Returns a figure drawn as PNG; characters that its font lacks, as in a file's name, are drawn as boxes."""
     buffer = BytesIO()
