@@ -33,6 +33,7 @@ from torchlight.io.scene_file import load_scene
 from torchlight.light import cubemap
 from torchlight.light.bases import SphericalHarmonics
 from torchlight.light.environment import luminance, power
+from torchlight.marking import GROUND, GROUND_LINE
 from torchlight.solvers.solution import Status
 
 FILES = [
@@ -268,6 +269,7 @@ def test_the_light_is_a_float32_exr_with_its_meaning(made: Made) -> None:
         "units": "relative",
         "nonnegative": True,
         "light_is": "radiance x albedo x exposure",
+        "fill": "none",
         "method": "texels",
         "resolution": 4,
         "photo_sha256": made.result["photo_sha256"],
@@ -287,8 +289,10 @@ def test_the_other_pictures(made: Made) -> None:
     assert_close(rgbe, exact, rtol=0, atol=exact.max().item() / 100)
     preview = cv2.imread(str(made.folder / "light.png"), cv2.IMREAD_UNCHANGED)
     assert preview is not None
-    assert (preview.shape, preview.dtype) == ((256, 512, 3), np.uint8)
-    assert (preview[130:] == 0).all()  # below the plane
+    assert (preview.shape[1:], preview.dtype) == ((512, 3), np.uint8)
+    assert 256 < preview.shape[0] < 350  # with a legend
+    below = {tuple(colour) for colour in preview[128:256].reshape(-1, 3).tolist()}
+    assert below == {GROUND, GROUND_LINE}
     fit = cv2.imread(str(made.folder / "fit.png"))
     assert fit is not None
     assert fit.shape[1] > 2 * fit.shape[0]
@@ -441,7 +445,7 @@ def test_ctrl_c_keeps_finished_photographs_and_nothing_half(tmp_path: Path, monk
 
     def interrupted(path: Path, data: bytes) -> None:
         calls.append(path)
-        if len(calls) == 4:  # a's folder takes three calls and the JSON files; this is inside b's
+        if len(calls) == 6:  # a's folder takes five calls and the JSON files; this is inside b's
             raise KeyboardInterrupt
         write(path, data)
 
@@ -451,7 +455,7 @@ def test_ctrl_c_keeps_finished_photographs_and_nothing_half(tmp_path: Path, monk
     ran = estimate(scene_file(tmp_path), *photos, out=tmp_path / "out")
     assert ran.code == 130
     assert "interrupted" in ran.line
-    assert calls[3].parent.name.startswith(".b.partial-")
+    assert calls[5].parent.name.startswith(".b.partial-")
     assert contents(tmp_path / "out") == ["a", *(f"a/{name}" for name in FILES)]
 
 

@@ -74,7 +74,7 @@ def both(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Bot
 
 def assert_same(kernel: Grown, twin: Grown) -> None:
     """Leaves, fates and radiance, in the same order."""
-    (items, ours), (others, theirs) = kernel, twin
+    (items, ours), (_, theirs) = kernel, twin
     assert torch.equal(ours.counts, theirs.counts)
     used = in_use(ours)
     assert torch.equal(torch.where(used, ours.leaves, 0), torch.where(used, theirs.leaves, 0))

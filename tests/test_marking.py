@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 
 from torchlight.analysis.confidence import Confidence
+from torchlight.figures import to_srgb8
 from torchlight.marking import GROUND, GROUND_LINE, LEGEND_ROWS, marked_light
 
 HEIGHT = 64
@@ -21,13 +22,13 @@ def confidence(observability: torch.Tensor, seen: torch.Tensor | None = None) ->
 
 
 def picture(light: torch.Tensor, told: Confidence, fill: str = "none") -> np.ndarray:
-    return np.asarray(Image.open(BytesIO(marked_light(light, 1.0, told, fill))))
+    return np.asarray(Image.open(BytesIO(marked_light(to_srgb8(light), told, fill))))
 
 
 def test_what_is_determined_is_shown_as_it_is() -> None:
     light = torch.full((3, HEIGHT, 2 * HEIGHT), 0.25)
     shown = picture(light, confidence(torch.ones(48)))
-    assert shown.shape == (HEIGHT + LEGEND_ROWS, 2 * HEIGHT, 3)
+    assert shown.shape == (HEIGHT + 2 * LEGEND_ROWS, 2 * HEIGHT, 3)
     assert set(shown[: HEIGHT // 2].flatten().tolist()) == {137}
     assert {tuple(colour) for colour in shown[HEIGHT // 2 : HEIGHT].reshape(-1, 3).tolist()} == {GROUND, GROUND_LINE}
 

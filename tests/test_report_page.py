@@ -162,6 +162,8 @@ def test_colours_and_directions() -> None:
 def test_faces_show_squares_and_fates(found: Estimate) -> None:
     assert found.refinement is not None
     picture = panels.fates_faces(found.refinement.kept[0], found.refinement.fate[0], 8)
-    assert picture.shape == (384, 1024, 4)
-    assert int(picture[0, 0, 3]) == 0
-    assert int(picture[0, 400, 3]) == 255
+    assert picture.shape == (384, 1024)
+    assert int(picture[0, 0]) == 12  # no face
+    assert int(picture[5, 400]) < 12
+    shown = Image.open(BytesIO(panels.faces_png(picture))).convert("RGBA")
+    assert [shown.getpixel((x, 5))[3] for x in (0, 400)] == [0, 255]

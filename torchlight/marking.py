@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
-from torch import Tensor
 
 from torchlight.analysis.confidence import Confidence
 from torchlight.analysis.observability import DETERMINED
-from torchlight.preview import encode_png, to_srgb8
+from torchlight.preview import encode_png
 
 PERIOD, LINE = 12, 2  # of the hatching, in pixels of a map that is 1,024 wide
 USUAL_WIDTH = 1024
@@ -19,19 +17,15 @@ LEGEND_ROWS, SWATCH = 34, (46, 18)
 TEXT = (30, 30, 30)
 
 
-def marked_light(
-    radiance: Float[Tensor, "3 height width"], scale: float, confidence: Confidence, fill: str = "none"
-) -> bytes:
-    """Returns a PNG of a light at one exposure; what is not determined is hatched, what is not observed cross-hatched.
+def marked_light(picture: NDArray[np.uint8], confidence: Confidence, fill: str = "none") -> bytes:
+    """Returns a PNG of a light; what is not determined is hatched, what is not observed cross-hatched.
 
     Args:
-        radiance: of the light, filled or not.
-        scale: the factor from radiance to linear picture values.
+        picture: of the light, filled or not, 8-bit sRGB; its pixels are overwritten.
         confidence: of the light.
         fill: what stands where nothing was determined.
     """
-    picture = to_srgb8(radiance.detach().cpu().double() * scale)
-    height = radiance.shape[-2]
+    height = picture.shape[0]
     unseen = confidence.unseen_map(height).numpy()
     doubtful = confidence.observability_map(height).numpy() < DETERMINED
     if fill == "none":
@@ -40,30 +34,30 @@ def marked_light(
 
 
 def hatched(picture: NDArray[np.uint8], doubtful: NDArray[np.bool_], unseen: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Returns a picture with lines over what is doubtful, crossed lines over what is unseen."""
-    rows, columns = np.indices(picture.shape[:2])
+    """Returns a picture with lines over what is doubtful, crossed lines over what is unseen; it is overwritten."""
+    rows, columns = (np.arange(size) for size in picture.shape[:2])
     size = max(1, picture.shape[1] // USUAL_WIDTH)
-    rising = (rows + columns) // size % PERIOD < LINE
-    falling = (rows - columns) // size % PERIOD < LINE
+    rising, falling = (np.add.outer(rows, turn * columns) // size % PERIOD < LINE for turn in (1, -1))
     lines = doubtful & ~unseen & rising
-    shown = picture.astype(np.float32)
-    shown[lines] += LINE_SHARE * (LINE_GREY - shown[lines])
-    shown[unseen & (rising | falling)] = GROUND_LINE
-    return shown.round().astype(np.uint8)
+    under = picture[lines].astype(np.float32)
+    picture[lines] = (under + LINE_SHARE * (LINE_GREY - under)).round().astype(np.uint8)
+    picture[unseen & (rising | falling)] = GROUND_LINE
+    return picture
 
 
 def legend(width: int, fill: str) -> NDArray[np.uint8]:
     """Returns a strip that says what the hatchings mean."""
     from PIL import Image, ImageDraw, ImageFont
 
-    strip = Image.new("RGB", (width, LEGEND_ROWS), "white")
+    font, said = ImageFont.load_default(size=13), names(fill)
+    beside = SWATCH[0] + 26 + int(font.getlength(said[0]))
+    apart = beside + SWATCH[0] + 26 + font.getlength(said[1]) > width  # one below the other
+    strip = Image.new("RGB", (width, LEGEND_ROWS * (2 if apart else 1)), "white")
     draw = ImageDraw.Draw(strip)
-    font = ImageFont.load_default(size=13)
-    left = 8
-    for name, sample in zip(names(fill), swatches(), strict=True):
-        strip.paste(Image.fromarray(sample), (left, (LEGEND_ROWS - SWATCH[1]) // 2))
-        draw.text((left + SWATCH[0] + 6, LEGEND_ROWS // 2), name, fill=TEXT, font=font, anchor="lm")
-        left += SWATCH[0] + 22 + int(draw.textlength(name, font=font))
+    for index, (name, sample) in enumerate(zip(said, swatches(), strict=True)):
+        left, top = (8, LEGEND_ROWS * index) if apart else (8 + beside * index, 0)
+        strip.paste(Image.fromarray(sample), (left, top + (LEGEND_ROWS - SWATCH[1]) // 2))
+        draw.text((left + SWATCH[0] + 6, top + LEGEND_ROWS // 2), name, fill=TEXT, font=font, anchor="lm")
     return np.asarray(strip)
 
 

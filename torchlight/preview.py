@@ -58,3 +58,10 @@ def encode_png(image: np.ndarray) -> bytes:
     buffer = BytesIO()
     Image.fromarray(image).save(buffer, format="PNG")
     return buffer.getvalue()
+
+
+def decode_png(data: bytes) -> np.ndarray:
+    """Returns the pixels of an 8-bit picture, which may be written to."""
+    from PIL import Image
+
+    return np.array(Image.open(BytesIO(data)))

@@ -11,25 +11,20 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors.torch import save
 from torch import Tensor
 
 from torchlight import metrics
-from torchlight.analysis.confidence import Confidence
-from torchlight.analysis.observability import DETERMINED, texel_solid_angles
 from torchlight.camera import Camera
+from torchlight.confidence import filled, trusted, write_confidence
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.quadtree import quadtree
 from torchlight.inversion.refinement import NAMES, Fate, Refinement, fate_counts
 from torchlight.io.atomic import partial_folder, write_atomically
 from torchlight.io.exif import Exif
-from torchlight.io.exr import write_channels
 from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
-from torchlight.light.environment import LUMINANCE, EnvironmentMap, luminance
-from torchlight.light.filling import constant_fill, smooth_fill
-from torchlight.light.latlong import row_solid_angles
+from torchlight.light.environment import EnvironmentMap
 from torchlight.light.peaks import Peaks
 from torchlight.light_plane import LightPlane
 from torchlight.marking import marked_light
@@ -37,7 +32,7 @@ from torchlight.near_light.verdict import NearLight
 from torchlight.photo.observation import Observation, Rejection
 from torchlight.pipeline import Estimate
 from torchlight.placement.report import Placement
-from torchlight.preview import preview
+from torchlight.preview import Preview, decode_png, preview, to_srgb8
 from torchlight.solvers import Status
 from torchlight.threads import aside
 
@@ -154,10 +149,10 @@ def write_result(
     with aside(preview, [estimate.light]) as (previewed,):
         pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
         shown = previewed()
-    estimate = replace(estimate, light=filled(estimate, provenance.fill))
+    estimate = replace(estimate, light=filled(estimate.light, estimate.confidence, provenance.fill))
     result = {**summary(estimate, scene, provenance), "preview_clipped_flux": shown.clipped_flux}
     confidence, light = estimate.confidence, estimate.light
-    drawn = shown.png if confidence is None else marked_light(light.radiance, shown.scale, confidence, provenance.fill)
+    drawn = marked(shown, estimate, provenance.fill)
     others = {} if pages is None else pages(estimate, result, shown.scale)
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in LIGHT_KEYS}
@@ -174,58 +169,15 @@ def write_result(
     return result
 
 
-def filled(estimate: Estimate, fill: str) -> EnvironmentMap:
-    """Returns the light with what the photograph says nothing about filled; its other pixels stay as they are."""
-    if fill == "none" or estimate.confidence is None:
-        return estimate.light
-    unseen = estimate.confidence.unseen_map(estimate.light.height)
-    method = constant_fill if fill == "constant" else smooth_fill
-    radiance = method(estimate.light.radiance.detach().cpu(), unseen)
-    return replace(estimate.light, radiance=radiance, nonnegative=bool((radiance >= 0).all()))
-
-
-def write_confidence(path: Path, confidence: Confidence, height: int, metadata: Mapping[str, Any]) -> None:
-    """Writes confidence.exr: `observability` and `deviation.R`, `.G`, `.B`, pixel by pixel as light.exr."""
-    planes = {f"deviation.{name}": plane for name, plane in zip("RGB", confidence.deviation_map(height), strict=True)}
-    planes["observability"] = confidence.observability_map(height)
-    said = {
-        "deviation": "standard deviation of the radiance under noise; infinite where nothing was observed",
-        "observability": f"share of structure that is determined, on {confidence.coarse} texels along a face's edge",
-        "noise": confidence.noise,
-        "convention": "torchlight",
-    }
-    write_channels(path, planes, {**metadata, **said})
-
-
-def trusted(estimate: Estimate) -> dict[str, Any] | None:
-    """Returns how far the light can be trusted, ready for JSON; None where that was not asked."""
-    found = estimate.confidence
-    if found is None:
-        return None
-    return {
-        "determined_share": found.determined_share,
-        "determined_from": DETERMINED,
-        "texels_per_edge": found.coarse,
-        "degrees_of_freedom": found.degrees_of_freedom,
-        "noise": found.noise,
-        "deviation_median": deviation_median(found, estimate.light),
-    }
-
-
-def deviation_median(found: Confidence, light: EnvironmentMap) -> float | None:
-    """Returns the median over the directions above the plane of the luminance's deviation, of the mean luminance.
-
-    The channels' noise is independent: variances add with the squares of the channels' weights in luminance.
-    """
-    weights = torch.tensor(LUMINANCE, dtype=torch.float64)
-    deviation = torch.linalg.vector_norm(weights[:, None] * found.deviation.double(), dim=0)
-    rows = row_solid_angles(light.height)[: light.height // 2]
-    brightness = luminance(light.radiance[:, : light.height // 2].cpu().double().mean(dim=-1))
-    mean = float((brightness * rows).sum() / rows.sum())
-    angles = texel_solid_angles(found.resolution)
-    order = deviation.argsort()
-    middle = int(torch.searchsorted(angles[order].cumsum(0), angles.sum() / 2))
-    return number(deviation[order[middle]] / mean) if mean > 0 else None
+def marked(shown: Preview, estimate: Estimate, fill: str) -> bytes:
+    """Returns light.png of an estimate; where it has its confidence, what was not determined is marked."""
+    if estimate.confidence is None:
+        return shown.png
+    if fill == "none":
+        picture = decode_png(shown.png)
+    else:
+        picture = to_srgb8(estimate.light.radiance.detach().cpu() * shown.scale)
+    return marked_light(picture, estimate.confidence, fill)
 
 
 def evidence(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[str, bytes]:
@@ -269,7 +221,7 @@ def summary(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[st
         "rejected": rejected(observation),
         "saturated_samples": "dropped",
         **found_light(estimate, provenance.method, provenance.solver),
-        "confidence": trusted(estimate),
+        "confidence": trusted(estimate.confidence, estimate.light),
         "fill": provenance.fill,
         "reference": scene.reference,
         "occluder_albedo": scene.occluder_albedo,

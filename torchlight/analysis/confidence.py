@@ -24,7 +24,7 @@ from torchlight.analysis.equations import (
     observed_resolution,
     texel_equations,
 )
-from torchlight.analysis.observability import DETERMINED, resolution_diagonal, texel_solid_angles
+from torchlight.analysis.observability import DETERMINED, texel_solid_angles
 from torchlight.errors import ConfigError
 from torchlight.inversion.adaptive import AdaptiveHaar
 from torchlight.inversion.leaf_program import dropped_wavelets
@@ -127,10 +127,9 @@ def confidence(columns: Transfer | NodeColumns, found: Found) -> Confidence:
     coarse = observed_resolution(columns)
     equations = texel_equations(columns, coarse)
     gram = equations.gram(weights)
-    brightest = (equations.columns.sum(dim=0) * (weights > 0)).max().clamp(min=1e-300)
     norms = gram.diagonal().clamp(min=0).sqrt()
     return Confidence(
-        observability=resolution_diagonal(gram / brightest.square(), found.noise).float(),
+        observability=equations.observability(weights, found.noise).float(),
         coarse=coarse,
         deviation=deviations(columns, found, weights).float(),
         seen=norms > UNSEEN * norms.max(),

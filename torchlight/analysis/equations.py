@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchlight.analysis.observability import coarsened
+from torchlight.analysis.observability import coarsened, resolution_diagonal
 from torchlight.inversion.nodes import NodeColumns, product
 from torchlight.inversion.quadtree import texel_nodes
 from torchlight.light.bases import Basis
@@ -29,12 +29,23 @@ class Equations:
         self.columns = columns
         self._whole: Tensor | None = None
         self._last: tuple[Tensor, Tensor] | None = None
+        self._told: tuple[Tensor, float, Tensor] | None = None
 
     def gram(self, weights: Float[Tensor, " points"]) -> Float[Tensor, "n n"]:
         """Returns A'W A."""
         if self._last is None or not torch.equal(self._last[0], weights):
             self._last = weights, self._weighted(weights)
         return self._last[1]
+
+    def observability(self, weights: Float[Tensor, " points"], noise: float) -> Float[Tensor, " n"]:
+        """Returns R_ii where noise is a share of the brightest used sample under uniform light (`whitened`).
+
+        Kept for the next photograph: the noise of many is the least there is, that of rounding to 8 bits.
+        """
+        if self._told is None or self._told[1] != noise or not torch.equal(self._told[0], weights):
+            brightest = (self.columns.sum(dim=0) * (weights > 0)).max().clamp(min=1e-300)
+            self._told = weights, noise, resolution_diagonal(self.gram(weights) / brightest.square(), noise)
+        return self._told[2]
 
     def _weighted(self, weights: Float[Tensor, " points"]) -> Float[Tensor, "n n"]:
         changed = weights != 1

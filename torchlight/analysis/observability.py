@@ -13,6 +13,7 @@ brightest sample under uniform light 1.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -63,6 +64,7 @@ class Observability:
         return self.diagonal >= DETERMINED
 
 
+@functools.lru_cache(maxsize=4)
 def texel_solid_angles(resolution: int) -> Float[Tensor, " texels"]:
     """Returns the solid angle of every visible texel, in steradians; they sum to 2 pi."""
     return cubemap.cell_solid_angles(cubemap.texel_cells(resolution))[:, 0]

@@ -7,6 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxtyping import Float
+from torch import Tensor
+
 from torchlight.fates import CHANNELS, COLOURS, NAMES
 from torchlight.figures import DIVERGING, REJECTED
 from torchlight.geometry.receiver import Receiver
@@ -43,15 +46,15 @@ def photo_files(
 
 def photo_page(photo: bytes, receiver: Receiver, estimate: Estimate, result: Mapping[str, Any], scale: float) -> bytes:
     """Returns report.html of a photograph; the same bytes for the same result."""
-    name = Path(result["photo"]).name
+    name, radiance = Path(result["photo"]).name, panels.small_light(estimate.light)
     body = [
         f"<header><h1>{text(name)}</h1>",
         paragraph(summary(result), "lead"),
         warned(result["warnings"]),
         "</header><main>",
         section("evidence", "What was seen, and what the light explains", *evidence(photo, receiver, estimate, name)),
-        section("light", "The light", *lights(estimate, result, scale)),
-        section("confidence", "How far it can be trusted", *trust(estimate, result)),
+        section("light", "The light", *lights(estimate, result, radiance, scale)),
+        section("confidence", "How far it can be trusted", *trust(estimate, result, radiance)),
         *refinement(estimate, result),
         section("numbers", "Numbers", facts(numbers(result)), peaks(result)),
         section("provenance", "Where it comes from", facts(provenance(result)), versions(result)),
@@ -111,9 +114,10 @@ def key(entries: Sequence[tuple[str, str]]) -> str:
     return '<ul class="key">' + "".join(f"<li>{swatch.format(c)}{text(n)}</li>" for c, n in entries) + "</ul>"
 
 
-def lights(estimate: Estimate, result: Mapping[str, Any], scale: float) -> Iterator[str]:
+def lights(
+    estimate: Estimate, result: Mapping[str, Any], radiance: Float[Tensor, "3 height width"], scale: float
+) -> Iterator[str]:
     """Yields the light as two views that a slider exposes."""
-    radiance = panels.small_light(estimate.light)
     height, width = radiance.shape[-2:]
     code = panels.light_code(radiance, estimate.confidence)
     asked = "" if estimate.confidence is None else f' data-threshold="{result["confidence"]["determined_from"]}"'
@@ -145,7 +149,7 @@ def fill_sentence(result: Mapping[str, Any]) -> str:
     return "" if result["fill"] == "none" else f"What was not observed is filled ({result['fill']})."
 
 
-def trust(estimate: Estimate, result: Mapping[str, Any]) -> Iterator[str]:
+def trust(estimate: Estimate, result: Mapping[str, Any], radiance: Float[Tensor, "3 height width"]) -> Iterator[str]:
     """Yields what the photograph determines and how far noise moves the light."""
     found = estimate.confidence
     if found is None:
@@ -163,7 +167,6 @@ def trust(estimate: Estimate, result: Mapping[str, Any]) -> Iterator[str]:
             else f" Over half of that hemisphere noise moves the radiance by less than {middle:.2g} of its mean."
         )
     )
-    radiance = panels.small_light(estimate.light)
     size = (radiance.shape[-1], radiance.shape[-2] // 2)
     first, second = panels.observability_picture(found), panels.deviation_picture(found, radiance)
     yield '<div class="wide">'
@@ -195,7 +198,9 @@ def refinement(estimate: Estimate, result: Mapping[str, Any]) -> Iterator[str]:
     for channel, (kept, fate) in enumerate(both):
         pixels = panels.fates_faces(kept, fate, estimate.basis.resolution)
         size = (pixels.shape[1], pixels.shape[0])
-        drawn.setdefault(encode_png(pixels), []).append(CHANNELS[channel] if channel < len(CHANNELS) else str(channel))
+        drawn.setdefault(panels.faces_png(pixels), []).append(
+            CHANNELS[channel] if channel < len(CHANNELS) else str(channel)
+        )
     shown = {Fate(value) for value in estimate.refinement.fate.unique().tolist()}
     pictures = [
         figure(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from io import BytesIO
+
 import cv2
 import numpy as np
 import torch
@@ -173,22 +175,39 @@ def deviation_picture(confidence: Confidence, radiance: Float[Tensor, "3 height 
 
 
 def fates_faces(kept: Tensor, fate: Tensor, resolution: int) -> NDArray[np.uint8]:
-    """Returns the unfolded faces of one channel: squares of constant light by their fate, outlined; RGBA."""
+    """Returns the unfolded faces of one channel: squares of constant light by their fate, outlined.
+
+    Numbers of `faces_palette`: the fate, that plus the number of fates on an outline, twice that where no face is.
+    """
     tree = quadtree(resolution)
     leaves = tree.leaves(needed(tree, kept))
     numbers = torch.zeros(tree.size, dtype=torch.float64)
     numbers[leaves] = leaves.double() + 1
     larger = max(1, FACES_PIXELS // (4 * resolution))
-    squares = _enlarged(unfolded(spread(numbers, resolution), resolution).numpy(), larger)
-    values = _enlarged(unfolded(texel_fates(tree, fate).double(), resolution).nan_to_num(0).long().numpy(), larger)
-    picture = np.zeros((*squares.shape, 4), dtype=np.uint8)
-    picture[..., :3] = np.array([rgb(COLOURS[value]) for value in Fate], dtype=np.uint8)[values]
+    squares = unfolded(spread(numbers, resolution), resolution).nan_to_num(0).int().numpy()
+    values = unfolded(texel_fates(tree, fate).double(), resolution).nan_to_num(2 * len(Fate)).byte().numpy()
+    squares, picture = _enlarged(squares, larger), _enlarged(values, larger)
     edges = np.zeros(squares.shape, dtype=bool)
     edges[1:] |= squares[1:] != squares[:-1]
     edges[:, 1:] |= squares[:, 1:] != squares[:, :-1]
-    picture[edges, :3] = (0.45 * picture[edges, :3]).astype(np.uint8)
-    picture[..., 3] = 255 * ~np.isnan(squares)
+    picture[edges & (squares > 0)] += len(Fate)
     return picture
+
+
+def faces_png(numbers: NDArray[np.uint8]) -> bytes:
+    """Returns the picture of `fates_faces` as PNG; transparent where no face is."""
+    from PIL import Image
+
+    image, buffer = Image.fromarray(numbers), BytesIO()
+    image.putpalette(faces_palette().tobytes())
+    image.save(buffer, format="PNG", transparency=2 * len(Fate))
+    return buffer.getvalue()
+
+
+def faces_palette() -> NDArray[np.uint8]:
+    """Returns the colours of fates, those of their outlines, which are darker, and one for where no face is."""
+    fates = np.array([rgb(COLOURS[value]) for value in Fate])
+    return np.concatenate([fates, 0.45 * fates, [NOTHING]]).round().astype(np.uint8)
 
 
 def _enlarged(values: NDArray, factor: int) -> NDArray:
