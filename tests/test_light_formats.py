@@ -214,6 +214,8 @@ def test_angular_map_follows_the_published_description():
         assert_close(v, angle / math.pi * expected[1], atol=1e-12, rtol=0)
     u, v = angular_coordinates(torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
     assert_close(torch.stack([u, v]), torch.zeros(2, dtype=torch.float64))
+    u, v = angular_coordinates(torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64))  # straight behind: on the rim
+    assert_close(torch.hypot(u, v).item(), 1.0)
 
 
 @pytest.mark.parametrize("size", [63, 64])

@@ -25,6 +25,7 @@ from torchlight.light.sampled import SampledLight, clipped_share, converted, sam
 
 _HDR_MAGIC = b"#?"
 _OPENEXR_FAMILY = ("openexr", "usd", "mitsuba")
+_OWN_KEYS = ("convention", "units", "nonnegative", "light_plane", "primaries")
 _NAMES = {"cross": "a cube cross", "angular": "an angular map", "strip": "a cube strip"}
 
 
@@ -48,11 +49,16 @@ def read_light(path: str | Path, convention: str | None = None) -> EnvironmentMa
 
 def read_sampled(path: str | Path, convention: str | None = None) -> SampledLight:
     """Returns the light in a file on the grid that it is stored on, float32; otherwise as `read_light`."""
+    return read_stored(path, convention)[0]
+
+
+def read_stored(path: str | Path, convention: str | None = None) -> tuple[SampledLight, dict[str, Any]]:
+    """Returns what `read_sampled` does, and what else an EXR's metadata say: method, hashes and the like."""
     if convention is not None:
         check_kind(convention)
     data = read_bytes(path)
     if data.lstrip()[:1] == b"{":
-        return _checked_coefficients(data, path, convention)
+        return _checked_coefficients(data, path, convention), {}
     image, metadata = _read(data, path)
     try:
         kind = _kind(image, metadata, convention)
@@ -63,7 +69,7 @@ def read_sampled(path: str | Path, convention: str | None = None) -> SampledLigh
         raise FormatError(f"{path}: {error}") from error
     if convention not in (None, kind):
         raise ConfigError(f"convention: {path} is no lat-long but {_NAMES[kind]}, whose axes are fixed; leave it out")
-    return light
+    return light, {key: value for key, value in metadata.items() if key not in _OWN_KEYS}
 
 
 def write_light(
@@ -132,7 +138,7 @@ def say_what_is_lost(path: str | Path, light: SampledLight, primaries: str = "re
     colours = convert_primaries(light.radiance, PRIMARIES["rec709"], PRIMARIES[primaries])
     share = clipped_share(replace(light, radiance=colours, nonnegative=False))
     if share > 0:
-        logger.info(f"{path}: negative radiance is set to 0, {share:.2g} of the flux; .exr keeps it")
+        logger.info(f"{path}: negative radiance is set to 0, {100 * share:.2g} % of the flux; .exr keeps it")
     if light.plane is not None:
         logger.info(f"{path}: does not say that the light stands {light.plane}: taken as far away; .exr keeps it")
 

@@ -34,9 +34,10 @@ def angular_coordinates(
     x, y, z = to_y_up(directions).unbind(dim=-1)
     sideways = torch.hypot(x, y)
     radius = torch.atan2(sideways, -z) / math.pi
-    # On the axis itself the picture's centre or any point of the rim will do.
-    scale = radius / torch.where(sideways > 0, sideways, 1)
-    return x * scale, y * scale
+    # Straight behind, any point of the rim will do: the one to the right.
+    off_axis = sideways > 0
+    length = torch.where(off_axis, sideways, 1)
+    return torch.where(off_axis, x / length, 1) * radius, y / length * radius
 
 
 def angular_directions(u: Float[Tensor, "*batch"], v: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3"]:
