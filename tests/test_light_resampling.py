@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from torchlight.errors import ShapeError
+from torchlight.errors import ConfigError, ShapeError
 from torchlight.light import latlong
 from torchlight.light.directions import from_angles
 from torchlight.light.environment import EnvironmentMap, rotate_about_z
@@ -174,3 +174,8 @@ def test_values_of_another_grid_are_refused() -> None:
         resample(torch.ones(25), CubeGrid(2), LatlongGrid(4))
     with pytest.raises(ShapeError, match="1 pixel or more"):
         CubeGrid(0)
+
+
+def test_more_pixels_than_can_be_counted_are_refused_before_they_are() -> None:
+    with pytest.raises(ConfigError, match="choose a smaller size"):
+        shared_angles(AngularGrid(5000), CubeGrid(2000))

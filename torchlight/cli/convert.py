@@ -25,7 +25,7 @@ AXES = "axes"
 HARMONICS = ("sh", "irradiance-sh")
 PICTURES = (".exr", ".hdr", ".png")
 DEGREE = 8
-MAXIMUM_SIZE = 16384
+MAXIMUM_SIZE = 8192
 AXES_ROWS = 128
 
 
