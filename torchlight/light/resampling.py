@@ -10,7 +10,7 @@ exact A_st (rows and columns part), and a cube map meets a lat-long along meridi
 too, is counted: directions spread over each pixel of both grids say which pixels meet. The counts are then balanced
 until their sums over t and over s are the exact solid angles (over-relaxed iterative proportional fitting), so that
 both properties hold whatever was counted. The last step makes the flux of every source pixel exact; a constant is kept
-as well as the rounds allow: to 2e-4 at 64 rows, 2e-3 at 256, of angular maps to 4e-3 and 2e-2 (1e-3 in the mean square).
+as well as the rounds allow: to 2e-4 at 64 rows, 2e-3 at 256, of angular maps to 4e-3 and 2e-2 (mean square 1e-3).
 
 References:
     Deming and Stephan, On a least squares adjustment of a sampled frequency table (1940). Thibault et al.,
