@@ -77,6 +77,9 @@ def test_fitted_scales(lights: tuple[Path, Path], tmp_path: Path) -> None:
     one = compared(tmp_path / "tinted.exr", lights[1], "--fit", "scale")
     assert one["radiance"]["rmse"] == pytest.approx(one["radiance"]["si_rmse"], rel=1e-9)
     assert one["scale"][0] == one["scale"][2]
+    lit = compared(tmp_path / "tinted.exr", lights[1], "--fit", "irradiance")
+    assert lit["totals"]["irradiance_luminance"] == pytest.approx(0, abs=1e-9)
+    assert lit["scale"][0] == lit["scale"][2] != one["scale"][0]
 
 
 def test_a_scene_splits_the_error(lights: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -193,8 +193,9 @@ class Compare:
     """Print JSON instead of the table."""
     over: Literal["upper", "sphere"] = "upper"
     """What counts: upper = above the horizon, which is all that a shadow on a plane tells of; sphere = everything."""
-    fit: Literal["none", "scale", "channels"] = "none"
-    """Scale the light first: by one factor, or by one per channel, whichever makes the RMSE smallest."""
+    fit: Literal["none", "irradiance", "scale", "channels"] = "none"
+    """Scale the light first. irradiance: so that the plane receives as much luminance. scale: by the factor that makes
+    the RMSE smallest. channels: by one per channel that does."""
     height: int | None = None
     """Rows of the grid that both are averaged to. Default: those of the coarser map."""
     log_offset: float = 1e-3
@@ -346,6 +347,32 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class View:
+    """Look at a scene, its light and its shadow in the browser; turn the light and see the shadow move.
+
+    Shows the occluders, the photograph on the receiver, the camera, and the light as a dome. Ends with Ctrl-C.
+    Needs the extra viewer. See docs/viewer.md.
+    """
+
+    source: Annotated[Path, tyro.conf.Positional, arg(metavar="RESULTS|SCENE")]
+    """Folder of one photograph that torchlight estimate wrote (with --scene), or a scene file (YAML)."""
+    scene: Annotated[Path | None, arg(metavar="SCENE")] = None
+    """Scene file of the results."""
+    light: Annotated[Path | None, arg(metavar="LIGHT")] = None
+    """Another light: EXR or HDR. Default: that of the results; for a scene alone a built-in sky."""
+    convention: Convention | None = None
+    """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
+    host: str = "localhost"
+    """Address to serve on; 0.0.0.0 lets other machines look."""
+    port: int = 8080
+    """Port to serve on; the next free one where it is taken."""
+    resolution: int = 32
+    """Texels along a cube map face's edge of the light that moves."""
+    no_cache: bool = False
+    """Neither read nor write the scene's transport on disk."""
+
+
+@dataclass(frozen=True)
 class Cache:
     """List or clear the scenes' transports kept on disk (TORCHLIGHT_CACHE names the folder)."""
 
@@ -386,6 +413,7 @@ Command = (
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Joint, tyro.conf.subcommand("joint")]
     | Annotated[Config, tyro.conf.subcommand("config")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Cache, tyro.conf.subcommand("cache")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchlight.errors import ConfigError
+from torchlight.light import latlong
 from torchlight.light.environment import EnvironmentMap, irradiance, luminance
 from torchlight.light.peaks import environment_peaks
 from torchlight.light_metrics import radiance as errors
@@ -17,7 +18,7 @@ from torchlight.light_metrics.directions import PeakMatch, matched_peaks, mean_d
 from torchlight.light_metrics.grid import Part, check_height, common_height, resampled, sample_weights
 from torchlight.light_metrics.radiance import Scaled
 
-Fit = Literal["none", "scale", "channels"]
+Fit = Literal["none", "irradiance", "scale", "channels"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,8 @@ def paired(
         reference: to be judged by.
         part: what counts; the rest is made black in both.
         height: rows of the grid; None = those of the coarser map, made even.
-        fit: "scale" multiplies the light by the factor that makes the RMSE smallest, "channels" by one per channel.
+        fit: "irradiance" multiplies the light by the factor that gives the plane the reference's luminance, "scale" by
+            that which makes the RMSE smallest, "channels" by one per channel that does.
 
     Raises:
         ConfigError: an odd or huge height.
@@ -119,15 +121,17 @@ def fitted_scale(
     fit: Fit,
 ) -> Float[Tensor, "*batch 3"]:
     """Returns the factor of every channel."""
+    if fit == "none":
+        return light.new_ones(light.shape[:-2])
+    if fit == "irradiance":
+        weights = latlong.row_projected_solid_angles(light.shape[-2], device=light.device)
+        received, wanted = (luminance((each.sum(dim=-1) @ weights)[..., None]) for each in (light, reference))
+        return torch.where(received > 0, wanted / received, 0.0).expand(light.shape[:-2])
     x, y = light.flatten(start_dim=-2), reference.flatten(start_dim=-2)
     weights = sample_weights(light.shape[-2], part, device=light.device)
     if fit == "channels":
         return errors.channel_scale_invariant_rmse(x, y, weights).scale
-    if fit == "scale":
-        return errors.scale_invariant_rmse(x, y, weights).scale[..., None].expand(*x.shape[:-2], 3)
-    if fit != "none":
-        raise ConfigError(f"fit: expected none, scale or channels, got {fit!r}")
-    return x.new_ones(*x.shape[:-2], 3)
+    return errors.scale_invariant_rmse(x, y, weights).scale[..., None].expand(light.shape[:-2])
 
 
 def measures(pair: Pair, log_offset: float = errors.LOG_OFFSET) -> Measures:
