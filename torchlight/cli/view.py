@@ -19,7 +19,7 @@ from torchlight.light.procedural import sun_and_window
 from torchlight.precomputation import precompute
 from torchlight.relighting import lit_by
 from torchlight.viewer.stage import Stage, everything, manageable, of_results
-from torchlight.viewer.window import open_window, viser_module
+from torchlight.viewer.window import close_window, open_window, viser_module
 
 MAX_RESOLUTION = 64
 
@@ -37,7 +37,7 @@ def run(command: arguments.View) -> int:
     except KeyboardInterrupt:
         print("closed")
     finally:
-        server.stop()
+        close_window(server)
     return 0
 
 
@@ -88,7 +88,8 @@ def facts(
     command: arguments.View, path: Path, scene: Scene, found: ResultFolder | None, compared: bool
 ) -> tuple[str, ...]:
     """Returns lines to show beside the picture; Markdown."""
-    lines = [f"**{path.name}**: {len(scene.triangles)} triangles, {scene.receiver.samples} samples"]
+    columns, rows = scene.receiver.samples
+    lines = [f"**{path.name}**: {len(scene.triangles)} triangles, {columns} x {rows} samples"]
     if command.light is not None:
         lines.append(f"light: {command.light.name}")
     elif found is None:

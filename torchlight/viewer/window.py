@@ -1,8 +1,12 @@
-"""The window in the browser, by viser (extra `viewer`)."""
+"""The window in the browser, by viser (extra `viewer`).
+
+viser draws what is nearer than 1,000 units. All lengths are therefore divided by the dome's radius.
+"""
 
 from __future__ import annotations
 
 import io
+import logging
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from types import ModuleType
@@ -56,32 +60,39 @@ def open_window(shown: Stage, host: str, port: int) -> Any:
         ConfigError: viser is not installed, or the address cannot be served on.
     """
     viser = viser_module()
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a browser that hangs up early is no error
     try:
         with redirect_stdout(io.StringIO()):  # its own greeting names no command and no scene
             server = viser.ViserServer(host=host, port=port, label="torchlight", verbose=False)
     except (OSError, OverflowError) as error:
         raise ConfigError(f"--host {host} --port {port}: cannot be served on: {error}; choose another") from error
-    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+    server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
     build(server, shown)
     return server
 
 
+def close_window(server: Any) -> None:
+    """Stops a server, without its own words."""
+    with redirect_stdout(io.StringIO()):
+        server.stop()
+
+
 def build(server: Any, shown: Stage) -> Controls:
     """Puts a stage into a server's scene, and controls beside it."""
-    radius = meshes.dome_radius(shown.scene)
+    unit = meshes.dome_radius(shown.scene)
     controls = add_controls(server.gui, shown)
-    add_things(server.scene, shown, radius)
-    plane = add_plane(server.scene, shown)
-    x, y = shown.scene.receiver.center
+    add_things(server.scene, shown, unit)
+    plane = add_plane(server.scene, shown, unit)
+    x, y = (value / unit for value in shown.scene.receiver.center)
     # turning the frame turns the dome, without a new picture
     light = server.scene.add_frame("/light", show_axes=False, position=(x, y, 0.0))
-    add_dome(server.scene, shown, radius, 0.0)
+    add_dome(server.scene, shown, 0.0)
 
     def draw_plane(_: object) -> None:
         plane.image = stage.plane(shown, controls.layer.value, controls.degrees.value, controls.stops.value)
 
     def expose(event: object) -> None:
-        add_dome(server.scene, shown, radius, controls.stops.value)
+        add_dome(server.scene, shown, controls.stops.value)
         draw_plane(event)
 
     def turn(event: object) -> None:
@@ -94,8 +105,8 @@ def build(server: Any, shown: Stage) -> Controls:
     for control, action in ((controls.layer, draw_plane), (controls.stops, expose), (controls.degrees, turn)):
         control.on_update(action)
     controls.dome.on_update(hide)
-    server.initial_camera.position = (x + 0.6 * radius, y - 2.4 * radius, 1.6 * radius)
-    server.initial_camera.look_at = (x, y, 0.2 * radius)
+    server.initial_camera.position = (x + 0.35, y - 1.7, 1.05)
+    server.initial_camera.look_at = (x, y, 0.25)
     return controls
 
 
@@ -109,12 +120,12 @@ def add_controls(gui: Any, shown: Stage) -> Controls:
     return Controls(layer, stops, degrees, dome)
 
 
-def add_things(scene: Any, shown: Stage, radius: float) -> None:
+def add_things(scene: Any, shown: Stage, unit: float) -> None:
     """Adds the occluders, the camera where there is one, and the axes."""
     occluders = meshes.occluder_mesh(shown.scene.triangles)
     if len(occluders.faces):
         scene.add_mesh_simple(
-            "/occluders", occluders.vertices, occluders.faces, color=OCCLUDER, flat_shading=True, side="double"
+            "/occluders", occluders.vertices / unit, occluders.faces, color=OCCLUDER, flat_shading=True, side="double"
         )
     if shown.scene.camera is not None:
         cone = meshes.frustum(shown.scene.camera)
@@ -122,30 +133,31 @@ def add_things(scene: Any, shown: Stage, radius: float) -> None:
             "/camera",
             cone.fov_radians,
             cone.aspect,
-            scale=0.2 * radius,
+            scale=0.25,
             color=CAMERA,
             wxyz=cone.wxyz,
-            position=cone.position,
+            position=tuple(value / unit for value in cone.position),
         )
     receiver = shown.scene.receiver
-    corner = (receiver.center[0] - receiver.size[0] / 2, receiver.center[1] - receiver.size[1] / 2, 0.0)
-    length = 0.15 * max(receiver.size)
-    scene.add_frame("/axes", axes_length=length, axes_radius=0.03 * length, position=corner)
+    corner = [(middle - extent / 2) / unit for middle, extent in zip(receiver.center, receiver.size, strict=True)]
+    length = 0.15 * max(receiver.size) / unit
+    scene.add_frame("/axes", axes_length=length, axes_radius=0.03 * length, position=(*corner, 0.0))
     for name, end in (("+x", (1.15, 0, 0)), ("+y", (0, 1.15, 0)), ("+z", (0, 0, 1.15))):
         scene.add_label(f"/axes/{name}", name, position=tuple(length * part for part in end))
 
 
-def add_plane(scene: Any, shown: Stage) -> Any:
+def add_plane(scene: Any, shown: Stage, unit: float) -> Any:
     """Adds the receiver with its picture and returns viser's handle."""
     receiver = shown.scene.receiver
     image = stage.plane(shown, shown.layers[0], 0.0, 0.0)
-    where = {"wxyz": DOWNWARDS, "position": (*receiver.center, 0.0)}
-    return scene.add_image("/plane", image, *receiver.size, cast_shadow=False, receive_shadow=False, **where)
+    width, height, x, y = (value / unit for value in (*receiver.size, *receiver.center))
+    where = {"wxyz": DOWNWARDS, "position": (x, y, 0.0)}
+    return scene.add_image("/plane", image, width, height, cast_shadow=False, receive_shadow=False, **where)
 
 
-def add_dome(scene: Any, shown: Stage, radius: float, stops: float) -> None:
+def add_dome(scene: Any, shown: Stage, stops: float) -> None:
     """Adds the light as the inside of half a sphere, in place of the one before; from outside it is not there."""
-    data = textured(meshes.dome_mesh(radius), stage.dome(shown, stops))
+    data = textured(meshes.dome_mesh(1.0), stage.dome(shown, stops))
     scene.add_glb("/light/dome", data, cast_shadow=False, receive_shadow=False)
 
 
