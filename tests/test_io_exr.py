@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 import errno
-import math
 import logging
+import math
 import os
 from pathlib import Path
 

@@ -221,6 +221,69 @@ class Convert:
 
 
 @dataclass(frozen=True)
+class Compare:
+    """Say how far a light is from a reference: radiance, colour, directions, totals, and spheres relit by both.
+
+    With --scene also which part of the error a photograph of that scene determines. See docs/metrics.md.
+    """
+
+    light: Annotated[Path, tyro.conf.Positional, arg(metavar="LIGHT")]
+    """The light to judge; EXR or HDR: a lat-long, a vertical cube cross or an angular map."""
+    reference: Annotated[Path, tyro.conf.Positional, arg(metavar="REFERENCE")]
+    """What it is judged by; likewise."""
+    scene: Annotated[Path | None, arg(metavar="SCENE")] = None
+    """Scene file (YAML): split the error into what its photographs determine and the rest, and relight it with both."""
+    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Folder that receives compare.json and compare.png."""
+    json: bool = False
+    """Print JSON instead of the table."""
+    over: Literal["upper", "sphere"] = "upper"
+    """What counts: upper = above the horizon, which is all that a shadow on a plane tells of; sphere = everything."""
+    fit: Literal["none", "irradiance", "scale", "channels"] = "none"
+    """Scale the light first. irradiance: so that the plane receives as much luminance. scale: by the factor that makes
+    the RMSE smallest. channels: by one per channel that does."""
+    height: int | None = None
+    """Rows of the grid that both are averaged to. Default: those of the coarser map."""
+    log_offset: float = 1e-3
+    """Added before logarithms, as a share of the reference's mean radiance."""
+    convention: Convention | None = None
+    """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
+    reference_convention: Convention | None = None
+    """Axes of a lat-long reference; likewise."""
+    noise: float = 0.01
+    """With --scene: standard deviation of the noise per sample, as a share of the brightest sample."""
+    resolution: int = 16
+    """With --scene: texels along a cube map face's edge, 2 to 32."""
+    rays: int = 131072
+    """With --scene: directions each light is cut into for relighting."""
+    protocol: Literal["plain", "stylelight", "diffusionlight"] = "plain"
+    """Of the spheres: linear radiance and plain means, or the published choices; the options below replace single
+    ones."""
+    tone: Literal["none", "stylelight"] | None = None
+    """Curve that both maps go through before they light the spheres."""
+    map_height: int | None = None
+    """Rows both maps are averaged to before they light the spheres; 0 = those of the grid."""
+    sphere_size: int | None = None
+    """Pixels along the edge of a sphere's picture."""
+    view: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    """From the spheres towards the viewer."""
+    clip: float | None = None
+    """Clip the spheres' pictures to [0, CLIP] before they are scored."""
+    pixels: Literal["sphere", "image"] | None = None
+    """Which pixels count: those of the sphere, or the whole picture with its black background."""
+    per: Literal["value", "pixel"] | None = None
+    """Divide squared errors by the number of values, or of pixels."""
+    black: Literal["skip", "zero"] | None = None
+    """Black pixels are left out of the spheres' RGB angle, or count as right."""
+    flip: bool = False
+    """Add HDR-FLIP of the maps and of the spheres (extra flip)."""
+    no_cache: bool = False
+    """Neither read nor write the scene's transport on disk."""
+    overwrite: bool = False
+    """Replace an existing comparison."""
+
+
+@dataclass(frozen=True)
 class Merge:
     """Merge exposure brackets of one view into a linear picture: OUT.exr, and OUT_mask.png beside it.
 
@@ -330,6 +393,32 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class View:
+    """Look at a scene, its light and its shadow in the browser; turn the light and see the shadow move.
+
+    Shows the occluders, the photograph on the receiver, the camera, and the light as a dome. Ends with Ctrl-C.
+    Needs the extra viewer. See docs/viewer.md.
+    """
+
+    source: Annotated[Path, tyro.conf.Positional, arg(metavar="RESULTS|SCENE")]
+    """Folder of one photograph that torchlight estimate wrote (with --scene), or a scene file (YAML)."""
+    scene: Annotated[Path | None, arg(metavar="SCENE")] = None
+    """Scene file of the results."""
+    light: Annotated[Path | None, arg(metavar="LIGHT")] = None
+    """Another light: EXR or HDR. Default: that of the results; for a scene alone a built-in sky."""
+    convention: Convention | None = None
+    """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
+    host: str = "localhost"
+    """Address to serve on; 0.0.0.0 lets other machines look."""
+    port: int = 8080
+    """Port to serve on; the next free one where it is taken."""
+    resolution: int = 32
+    """Texels along a cube map face's edge of the light that moves."""
+    no_cache: bool = False
+    """Neither read nor write the scene's transport on disk."""
+
+
+@dataclass(frozen=True)
 class Cache:
     """List or clear the scenes' transports kept on disk (TORCHLIGHT_CACHE names the folder)."""
 
@@ -365,11 +454,13 @@ Command = (
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Convert, tyro.conf.subcommand("convert")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]
     | Annotated[Target, tyro.conf.subcommand("target")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Joint, tyro.conf.subcommand("joint")]
     | Annotated[Config, tyro.conf.subcommand("config")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Cache, tyro.conf.subcommand("cache")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]

@@ -1,0 +1,1 @@
+"""How far a light is from another: docs/metrics.md has every formula."""

@@ -1,0 +1,81 @@
+"""Two lights on one lat-long grid, and the solid angle that each sample of it stands for.
+
+A lat-long pixel is the product of an interval of z = cos theta and an interval of azimuth, and solid angle is dz dphi.
+The average over a pixel of another grid is therefore a product of two averages, and exact for a map that is constant
+over its own pixels.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchlight.errors import ConfigError
+from torchlight.light import latlong
+
+Part = Literal["upper", "sphere"]
+MAX_HEIGHT = 4096
+
+
+def common_height(light: int, reference: int) -> int:
+    """Returns the rows of the grid on which two maps are compared: the fewer of the two, made even, at least 2.
+
+    The finer map is averaged: to cut the coarser one up would claim a detail that it does not have.
+    """
+    smaller = min(light, reference)
+    return max(2, smaller - smaller % 2)
+
+
+def check_height(height: int) -> None:
+    """Raises ConfigError unless the horizon lies between two rows of the grid, and the grid can be held."""
+    if height < 2 or height % 2 or height > MAX_HEIGHT:
+        raise ConfigError(
+            f"height: expected an even number of rows from 2 to {MAX_HEIGHT}, got {height}; for example 128"
+        )
+
+
+def resampled(
+    radiance: Float[Tensor, "*batch rows columns"], height: int
+) -> Float[Tensor, "*batch {height} {2*height}"]:
+    """Returns the area averages of a lat-long map over the pixels of another; the integral over the sphere is kept."""
+    rows, columns = radiance.shape[-2:]
+    latlong.check_latlong(rows, columns)
+    if rows == height:
+        return radiance
+    by_row = _averages(torch.cos(latlong.row_boundaries(rows)), torch.cos(latlong.row_boundaries(height)))
+    by_column = _averages(latlong.column_boundaries(columns), latlong.column_boundaries(2 * height))
+    return by_row.to(radiance) @ radiance @ by_column.to(radiance).T
+
+
+def _averages(source: Float[Tensor, " edges"], target: Float[Tensor, " others"]) -> Float[Tensor, "targets sources"]:
+    """Returns the share of each target interval that each source interval covers; edges descend."""
+    top = torch.minimum(source[:-1], target[:-1, None])
+    bottom = torch.maximum(source[1:], target[1:, None])
+    return (top - bottom).clamp(min=0) / (target[:-1] - target[1:])[:, None]
+
+
+def sample_weights(height: int, part: Part, *, device: torch.device | str = "cpu") -> Float[Tensor, " samples"]:
+    """Returns the solid angle of the pixels of an even grid, row by row; 0 below the horizon where `upper` counts.
+
+    They sum to 4 pi, or to 2 pi.
+    """
+    rows = latlong.row_solid_angles(height, device=device)
+    if part == "upper":
+        rows = torch.where(torch.arange(height, device=device) < height // 2, rows, 0.0)
+    return rows.repeat_interleave(2 * height)
+
+
+def first_moments(height: int, *, device: torch.device | str = "cpu") -> Float[Tensor, "samples 3"]:
+    """Returns the exact integral of the unit vector w over every pixel, in steradians, row by row.
+
+    With A = [theta / 2 - sin 2 theta / 4] between a row's edges: (A [sin phi], -A [cos phi], [sin^2 theta / 2] dphi).
+    """
+    theta, phi = latlong.row_boundaries(height, device=device), latlong.column_boundaries(2 * height, device=device)
+    flat = (theta[1:] - theta[:-1]) / 2 - (torch.sin(2 * theta[1:]) - torch.sin(2 * theta[:-1])) / 4
+    upright = (theta[1:].sin().square() - theta[:-1].sin().square()) / 2 * (torch.pi / height)
+    x = flat[:, None] * (phi[:-1].sin() - phi[1:].sin())
+    y = flat[:, None] * (phi[1:].cos() - phi[:-1].cos())
+    return torch.stack([x, y, upright[:, None].expand_as(x)], dim=-1).reshape(-1, 3)
