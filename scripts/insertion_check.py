@@ -3,9 +3,9 @@
     python scripts/insertion_check.py [--data DIR] [--out out/insertion_check] [--samples 256] [--noise 0.005]
 
 The light is recovered from the 8-bit photograph without the object, never taken from the truth. Prints and writes a
-table and CSV of RMS differences: of 8-bit sRGB codes at the photograph's exposure, and linear, of the plane's brightest pixel
-as 255. The plane: all pixels that show it, and those of them whose truth the new shadow darkens by more than 2 %. The
-object: what the camera sees of it. The object's rim, one pixel to either side of its outline, is left out of all.
+table and CSV of RMS differences: of 8-bit sRGB codes at the photograph's exposure, and linear, of the plane's
+brightest pixel as 255. The plane: all pixels that show it, and those of them that the new shadow darkens by more than
+2 %. The object: what the camera sees of it. The object's rim, one pixel to either side of its outline, is left out.
 "photograph" is what an insertion cannot be better than: the same difference where the object changes nothing.
 Needs Mitsuba (`pip install 'torchlight[mitsuba]'`), five times as fast where DRJIT_LIBLLVM_PATH names an LLVM.
 """
@@ -172,6 +172,16 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def write_tables(out: Path, rows: list[Row]) -> None:
+    """Writes the rows as Markdown and CSV."""
+    write_atomically(out / "insertion.md", table(rows).encode())
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, [field.name for field in fields(Row)], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in rows)
+    write_atomically(out / "insertion.csv", buffer.getvalue().encode())
+
+
 def draw(path: Path, shown: list[tuple[str, Tensor, Tensor, Tensor]]) -> None:
     """Writes photograph, insertion, truth and difference, one row each."""
     figure, axes = plt.subplots(len(shown), 4, figsize=(11, 2.25 * len(shown)), squeeze=False, layout="constrained")
@@ -224,14 +234,8 @@ def main(
             rows.append(row)
             pictures.append((f"{name}\n{thing.name}", codes(case.photo), shown, real))
             print(table([row]).splitlines()[-1], flush=True)
-    write_atomically(out / "insertion.md", table(rows).encode())
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, [field.name for field in fields(Row)])
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
-    write_atomically(out / "insertion.csv", buffer.getvalue().encode())
-    for index in range(0, len(pictures), len(chosen)):
-        draw(out / f"{rows[index].light.replace(' ', '_')}_pictures.png", pictures[index : index + len(chosen)])
+            write_tables(out, rows)
+        draw(out / f"{name.replace(' ', '_')}_pictures.png", pictures[-len(chosen) :])
     print(table(rows))
     worst = max(row.plane for row in rows), max(row.object_rms for row in rows)
     print(f"worst: plane {worst[0]:.2f} (at most 3), object {worst[1]:.2f} (at most 6)")

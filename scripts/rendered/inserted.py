@@ -1,9 +1,9 @@
 """A photograph by Mitsuba without an object, and the same with the object really there: direct light alone.
 
-The block of the paper's experiment, here of albedo 0.3, stands on a plane of albedo 0.8 that goes on beyond the picture.
-The camera is that of the rendered photographs: 400 x 300 pixels, a barrel lens, 45 degrees. Integrator: `path` with
-max_depth 2, so that nothing throws light on anything else. The objects are Mitsuba's own sphere, cylinder and mesh
-loader; torchlight gets the inscribed polyhedra of `geometry.primitives`, or reads the mesh itself.
+The block of the paper's experiment, here of albedo 0.3, stands on a plane of albedo 0.8 that goes on beyond the
+picture. The camera is that of the rendered photographs: 400 x 300 pixels, a barrel lens, 45 degrees. Integrator: `path`
+with max_depth 2, so that nothing throws light on anything else. The objects are Mitsuba's own sphere, cylinder and
+mesh loader; torchlight gets the inscribed polyhedra of `geometry.primitives`, or reads the mesh itself.
 """
 
 from __future__ import annotations
@@ -101,11 +101,11 @@ def bunny_at(name: str, file: Path, x: float, y: float, turn_degrees: float) -> 
 
 
 def things(data: Path | None) -> list[Thing]:
-    """Returns a sphere and a cylinder, each before and behind the block, and with data a bunny."""
+    """Returns a sphere before the block and one half behind it, a cylinder beside it, and with data a bunny."""
     found = [
         sphere_at("sphere", 0.95, -0.75),
-        sphere_at("sphere, half behind the block", -0.75, 0.75),
-        cylinder_at("cylinder, beside the block", 0.8, 0.25),
+        sphere_at("half-hidden sphere", -0.75, 0.75),
+        cylinder_at("cylinder", 0.8, 0.25),
     ]
     if data is not None:
         found.append(bunny_at("bunny", data / "meshes" / "stanford-bunny.obj", 0.85, -0.6, 30.0))

@@ -233,7 +233,8 @@ def ground_of(scene: Scene, light: EnvironmentMap, triangles: Float[Tensor, "fac
 
 def top_of(scene: Scene, triangles: Float[Tensor, "faces 3 3"]) -> float:
     """Returns a height above both objects."""
-    heights = torch.cat([scene.triangles.reshape(-1, 3)[:, 2].double(), triangles.reshape(-1, 3)[:, 2].double()])
+    parts = (scene.triangles, triangles, torch.zeros(1, 3, 3))
+    heights = torch.cat([part.reshape(-1, 3)[:, 2].double().cpu() for part in parts])
     return heights.max().item() + max(scene.receiver.size)
 
 

@@ -72,25 +72,29 @@ def sight_of(scene: Scene, size: tuple[int, int], top: float) -> Sight:
 def cell_rays(
     sight: Sight, index: Int[Tensor, " cells"], subpixels: int = SUBPIXELS
 ) -> tuple[Float[Tensor, "cells sub 3"], Float[Tensor, "cells sub 3"]]:
-    """Returns origins and unit directions of subpixels x subpixels rays through each cell, the most central first."""
-    pixels = (cell_places(sight, index, subpixels) * sight.step - 0.5).clamp(
-        max=torch.tensor(sight.size, dtype=torch.float64) - 0.5
-    )
+    """Returns origins and unit directions of subpixels x subpixels rays through each cell, the most central first.
+
+    Over a cell the lens is taken as bilinear between its corners.
+    """
+    corners = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], dtype=torch.float64)
+    shares = subpixel_places(subpixels)
+    weights = torch.stack([(corner * shares + (1 - corner) * (1 - shares)).prod(dim=-1) for corner in corners], dim=1)
+    columns = sight.grid[0]
+    upper_left = torch.stack([index % columns, index // columns], dim=-1).double()
+    last = torch.tensor(sight.size, dtype=torch.float64)
+    pixels = ((upper_left[:, None] + corners) * sight.step).minimum(last) - 0.5
     if sight.camera is None:
-        origins = on_receiver(sight, pixels)
+        origins = weights @ on_receiver(sight, pixels)
         return origins, torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64).expand_as(origins)
-    directions = pixel_directions(sight.camera, pixels)
+    directions = torch.nn.functional.normalize(weights @ pixel_directions(sight.camera, pixels), dim=-1)
     return sight.camera.position.to(directions).expand_as(directions), directions
 
 
-def cell_places(sight: Sight, index: Int[Tensor, " cells"], subpixels: int) -> Float[Tensor, "cells sub 2"]:
-    """Returns x and y of the rays in cells, counted from the upper left corner of the first cell."""
+def subpixel_places(subpixels: int) -> Float[Tensor, "sub 2"]:
+    """Returns x and y of points spread evenly over the unit square, the most central first."""
     steps = (torch.arange(subpixels, dtype=torch.float64) + 0.5) / subpixels
-    offsets = torch.cartesian_prod(steps, steps).reshape(-1, 2)
-    offsets = offsets[(offsets - 0.5).square().sum(dim=-1).argsort(stable=True)]
-    columns = sight.grid[0]
-    corner = torch.stack([index % columns, index // columns], dim=-1).double()
-    return corner[:, None] + offsets
+    places = torch.cartesian_prod(steps, steps).reshape(-1, 2)
+    return places[(places - 0.5).square().sum(dim=-1).argsort(stable=True)]
 
 
 def on_receiver(sight: Sight, pixels: Float[Tensor, "cells sub 2"]) -> Float[Tensor, "cells sub 3"]:
