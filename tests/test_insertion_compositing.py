@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from torchlight.insertion.compositing import Layer, layer_of, over, premultiplied_of
+from torchlight.insertion.unmixing import visible_part
 
 
 def made(seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -52,3 +53,24 @@ def test_a_photograph_that_is_not_finite_stays_so_only_where_it_shows() -> None:
     photo = torch.full((3, 1, 1), torch.inf, dtype=torch.float64)
     layer = Layer(torch.zeros(3, 1, 1, dtype=torch.float64), torch.zeros(1, 1, dtype=torch.float64))
     assert over(layer, photo).isinf().all()
+
+
+def test_half_a_pixel_of_plane_that_is_covered_leaves_the_old_object_s_half() -> None:
+    # columns: plane, plane, half and half, old object, old object; the new object covers the plane's half
+    plane, old = 0.8, 0.1
+    photo = torch.tensor([plane, plane, (plane + old) / 2, old, old], dtype=torch.float64).expand(3, 5, 5).clone()
+    before = torch.tensor([0.0, 0.0, 0.5, 1.0, 1.0], dtype=torch.float64).expand(5, 5)
+    after = torch.tensor([0.0, 0.0, 1.0, 1.0, 1.0], dtype=torch.float64).expand(5, 5)
+    shown = photo * visible_part(photo, before, after)
+    assert_close(shown[:, :, 2], torch.full((3, 5), old, dtype=torch.float64))
+    assert torch.equal(shown[:, :, [0, 1, 3, 4]], photo[:, :, [0, 1, 3, 4]])
+    bright = layer_of(photo, torch.ones_like(photo), torch.full((5, 5), 0.5).double(), 1.5 * torch.ones_like(photo))
+    assert_close(over(bright, photo), 0.5 + 0.75 * photo)  # exact where what remains is brighter, too
+
+
+def test_nothing_is_unmixed_where_the_two_are_not_known() -> None:
+    photo = torch.rand(3, 4, 4).double()
+    nowhere = torch.full((4, 4), torch.nan).double()
+    half = torch.full((4, 4), 0.5).double()
+    assert torch.equal(visible_part(photo, nowhere, nowhere), torch.ones_like(photo))
+    assert torch.equal(visible_part(photo, half, 0.2 * half), torch.ones_like(photo))

@@ -2,12 +2,12 @@
 
     composite = alpha O + (1 - alpha) P r
 
-P is the photograph, r <= 1 what the new shadow leaves of it, alpha the share of a pixel that the object covers, O its
+P is the photograph, r what the new shadow leaves of it, alpha the share of a pixel that the object covers, O its
 radiance. The same as a layer to be put over the photograph elsewhere, exact for any r per channel:
 
     A = 1 - (1 - alpha) min r,     C A = alpha O + (1 - alpha) P (r - min r),     composite = C A + (1 - A) P
 
-with min over the channels: a grey shadow is black with alpha, a coloured one keeps its colour.
+with min over the channels, and at most 1: a grey shadow is black with alpha, a coloured one keeps its colour.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ def layer_of(
         photo: P.
         object_radiance: O.
         coverage: alpha.
-        ratio: r.
+        ratio: r; above 1 only where a pixel shows something brighter than before (`unmixing`).
     """
-    least = ratio.amin(dim=0)
+    least = ratio.amin(dim=0).clamp(max=1)
     tinted = torch.where(ratio > least, photo * (ratio - least), torch.zeros_like(photo))
     colour = coverage * object_radiance + (1 - coverage) * tinted
     return Layer(colour, 1 - (1 - coverage) * least)

@@ -12,22 +12,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchlight.camera import project
 from torchlight.errors import ConfigError
 from torchlight.geometry.scene import Scene
-from torchlight.insertion.cells import CELLS, light_cells
+from torchlight.insertion.cells import CELLS, Cells, light_cells
 from torchlight.insertion.compositing import Layer, layer_of, over
 from torchlight.insertion.gathering import Ground, throw, throw_bounced
-from torchlight.insertion.looking import NEW, PLANE, look
+from torchlight.insertion.looking import NEW, OLD, PLANE, Seen, look
 from torchlight.insertion.placing import check_above
 from torchlight.insertion.plane import Lamp, behind, darkened, receive_behind
 from torchlight.insertion.refining import COARSEST, Computed, Picture, Progress, Steps, refined
 from torchlight.insertion.shading import Material
 from torchlight.insertion.sight import Sight, sight_of
 from torchlight.insertion.stage import Stage, stage_of
+from torchlight.insertion.unmixing import visible_part
 from torchlight.interreflection import WHITE_PAPER
 from torchlight.light.environment import EnvironmentMap
 from torchlight.photo.observation import LinearPhoto, linear_photo
@@ -123,17 +124,35 @@ def insert(
     ground = ground_of(scene, light, triangles) if rendering.bounce else None
     index = around(sight, triangles)
     steps = Steps(progress, len(index) + 2 * COARSEST)
-    coverage, radiance = object_layer(stage, sight, index, lamp, material, ground, steps)
+    thing = object_layer(stage, sight, index, lamp, material, ground, steps)
     shadow = shadow_layer(stage, sight, lamp, rendering.only_receiver, steps)
     darker, shown = shadow.values.split(3)
     factor = albedo_over_pi(scene.receiver, shown)[:, :, None]
     predicted = torch.where(shadow.kind == PLANE, shown * factor, 0.0)
     brightness = brightness_of(linear, predicted)
     gain = brightness if rendering.fit_brightness else torch.ones_like(brightness)
-    ratio, shaded = 1 - darker, radiance * gain.nan_to_num(nan=1.0)[:, None, None]
     pixels = linear.radiance
-    layer = layer_of(pixels, *(part.to(pixels) for part in (shaded, coverage, ratio)))
-    return Insertion(over(layer, pixels), layer, coverage, ratio, brightness)
+    ratio = (1 - darker) * visible_part(pixels, thing.before, thing.after)
+    shaded = thing.radiance * gain.nan_to_num(nan=1.0)[:, None, None]
+    layer = layer_of(pixels, *(part.to(pixels) for part in (shaded, thing.coverage, ratio)))
+    return Insertion(over(layer, pixels), layer, thing.coverage, 1 - darker, brightness)
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """The new object as it is seen.
+
+    Attributes:
+        coverage: share of each pixel that it covers.
+        radiance: of what is seen of it.
+        before: share of the old objects in each pixel without it; NaN where nobody asked.
+        after: their share in what it leaves visible; likewise, and where it leaves nothing.
+    """
+
+    coverage: Float[Tensor, "height width"]
+    radiance: Float[Tensor, "3 height width"]
+    before: Float[Tensor, "height width"]
+    after: Float[Tensor, "height width"]
 
 
 def object_layer(
@@ -144,33 +163,54 @@ def object_layer(
     material: Material,
     ground: Ground | None,
     steps: Steps,
-) -> tuple[Float[Tensor, "height width"], Float[Tensor, "3 height width"]]:
-    """Returns how much of each pixel the object covers, and the radiance of what is seen of it."""
+) -> Thing:
+    """Returns the new object as the pixels with these numbers show it."""
     cells = lamp.seen_from(stage.middle[1])
-    albedo = torch.tensor(material.albedo, dtype=torch.float64) / torch.pi
 
-    def rendered(part: Tensor) -> tuple[Tensor, Tensor]:
+    def rendered(part: Tensor) -> Float[Tensor, "cells 6"]:
         seen = look(stage, sight, part)
         here = seen.kind == NEW
         rows = here.any(dim=1)
         radiance = torch.zeros(len(part), 3, dtype=torch.float64)
         if bool(rows.any()):
-            mine = seen.only(rows, NEW)
-            thrown = [throw(mine, cells, stage.over_objects, material)]
-            if ground is not None:
-                thrown.append(throw_bounced(mine, ground, stage.over_objects, material))
-            diffuse, lobe = (sum(getattr(t, name) for t in thrown) for name in ("irradiance", "lobe"))
-            radiance[rows] = (1 - material.gloss) * albedo * diffuse + material.gloss * lobe
-        return here.double().mean(dim=1), radiance
+            radiance[rows] = shaded(seen.only(rows, NEW), cells, stage, material, ground)
+        before = old_share(before_of(stage, sight, part))
+        return torch.cat(
+            [here.double().mean(dim=1)[:, None], radiance, before[:, None], old_share(seen.kind)[:, None]], 1
+        )
 
-    coverage = torch.zeros(sight.cells, dtype=torch.float64)
-    radiance = torch.zeros(sight.cells, 3, dtype=torch.float64)
-    parts = index.split(BLOCK)
-    for part, (covered, shining) in zip(parts, single_threaded_map(rendered, parts), strict=True):
-        coverage[part], radiance[part] = covered, shining
-        steps.add(len(part))
     columns, rows = sight.grid
-    return coverage.reshape(rows, columns), radiance.T.reshape(3, rows, columns)
+    values = torch.zeros(6, sight.cells, dtype=torch.float64)
+    values[4:] = torch.nan
+    parts = index.split(BLOCK)
+    for part, found in zip(parts, single_threaded_map(rendered, parts), strict=True):
+        values[:, part] = found.T
+        steps.add(len(part))
+    picture = values.reshape(6, rows, columns)
+    return Thing(picture[0], picture[1:4], picture[4], picture[5])
+
+
+def shaded(
+    seen: Seen, cells: Cells, stage: Stage, material: Material, ground: Ground | None
+) -> Float[Tensor, "points 3"]:
+    """Returns the radiance of points of the new object."""
+    thrown = [throw(seen, cells, stage.over_objects, material)]
+    if ground is not None:
+        thrown.append(throw_bounced(seen, ground, stage.over_objects, material))
+    irradiance, lobe = (torch.stack([getattr(t, name) for t in thrown]).sum(dim=0) for name in ("irradiance", "lobe"))
+    albedo = torch.tensor(material.albedo, dtype=torch.float64) / torch.pi
+    return (1 - material.gloss) * albedo * irradiance + material.gloss * lobe
+
+
+def before_of(stage: Stage, sight: Sight, index: Int[Tensor, " cells"]) -> UInt8[Tensor, "cells sub"]:
+    """Returns what the rays of cells show without the new object."""
+    return look(replace(stage, eye=stage.eye_before), sight, index).kind
+
+
+def old_share(kind: UInt8[Tensor, "cells sub"]) -> Float[Tensor, " cells"]:
+    """Returns the share of old objects in what each cell shows of them and the plane; NaN where it shows neither."""
+    old, plane = ((kind == which).double().sum(dim=1) for which in (OLD, PLANE))
+    return old / torch.where(old + plane > 0, old + plane, torch.nan)
 
 
 def shadow_layer(stage: Stage, sight: Sight, lamp: Lamp, only_receiver: bool, steps: Steps) -> Picture:

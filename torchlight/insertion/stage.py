@@ -77,6 +77,7 @@ class Stage:
         facing: unit normal of every face.
         normals: at the corners of every face, for shading.
         eye: the first-hit test of all faces.
+        eye_before: the same without the new object.
         over_plane: what hides light from the plane; stretched where the light is near (`light_plane`).
         over_objects: what hides light from points off the plane.
         middle: of the bounding boxes of the old objects and of the new one.
@@ -86,6 +87,7 @@ class Stage:
     facing: Float[Tensor, "faces 3"]
     normals: Float[Tensor, "faces 3 3"]
     eye: FirstHit
+    eye_before: FirstHit
     over_plane: Blockers
     over_objects: Blockers
     middle: tuple[Float[Tensor, "3"], Float[Tensor, "3"]]
@@ -106,6 +108,7 @@ def stage_of(scene: Scene, new: Float[Tensor, "faces 3 3"]) -> Stage:
         facing=face_normals(both),
         normals=smooth,
         eye=first_hit(both, corners),
+        eye_before=first_hit(old, both.reshape(-1, 3)),
         over_plane=over_plane,
         over_objects=over_objects,
         middle=(middle_of(old), middle_of(new)),
