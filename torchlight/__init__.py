@@ -18,6 +18,11 @@ if TYPE_CHECKING:
     from torchlight.camera import Camera as Camera
     from torchlight.geometry.receiver import Receiver as Receiver
     from torchlight.geometry.scene import Scene as Scene
+    from torchlight.insertion.relit import relight_photo as relight_photo
+    from torchlight.insertion.relit import remove_shadow as remove_shadow
+    from torchlight.insertion.rendering import Insertion as Insertion
+    from torchlight.insertion.rendering import insert as insert
+    from torchlight.insertion.shading import Material as Material
     from torchlight.inversion.adaptive import AdaptiveHaar as AdaptiveHaar
     from torchlight.inversion.gain import ProjectedGain as ProjectedGain
     from torchlight.inversion.level_by_level import LevelByLevel as LevelByLevel
@@ -54,8 +59,10 @@ _HOME = {
     "EnvironmentMap": "light.environment",
     "Estimate": "pipeline",
     "HaarCubemap": "light.bases",
+    "Insertion": "insertion.rendering",
     "LevelByLevel": "inversion.level_by_level",
     "LinearPhoto": "photo.observation",
+    "Material": "insertion.shading",
     "NNLS": "solvers",
     "NonnegativeSynthesis": "solvers",
     "Observation": "photo.observation",
@@ -69,6 +76,7 @@ _HOME = {
     "Transfer": "transfer",
     "columns_for": "precomputation",
     "estimate": "pipeline",
+    "insert": "insertion.rendering",
     "irradiance": "relighting",
     "linearize": "observing",
     "load_scene": "io.scene_file",
@@ -77,6 +85,8 @@ _HOME = {
     "read_light": "io.lights",
     "read_photo": "io.images",
     "relight": "relighting",
+    "relight_photo": "insertion.relit",
+    "remove_shadow": "insertion.relit",
     "solve": "inversion.linear",
     "stream": "streaming",
     "write_light": "io.lights",
@@ -89,8 +99,10 @@ __all__ = [
     "EnvironmentMap",
     "Estimate",
     "HaarCubemap",
+    "Insertion",
     "LevelByLevel",
     "LinearPhoto",
+    "Material",
     "NonnegativeSynthesis",
     "Observation",
     "ProjectedAdam",
@@ -103,6 +115,7 @@ __all__ = [
     "Transfer",
     "columns_for",
     "estimate",
+    "insert",
     "irradiance",
     "linearize",
     "load_scene",
@@ -111,6 +124,8 @@ __all__ = [
     "read_light",
     "read_photo",
     "relight",
+    "relight_photo",
+    "remove_shadow",
     "solve",
     "stream",
     "write_light",

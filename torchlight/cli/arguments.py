@@ -171,6 +171,97 @@ class Render:
 
 
 @dataclass(frozen=True)
+class Insert:
+    """Put an object into a photograph, lit by the light recovered from it; its shadow falls on the plane.
+
+    The object rests on the plane at --position unless --pose says otherwise. Light counts that comes straight from the
+    sky: neither what object and plane throw on each other (but see --bounce), nor light from below. Where the scene
+    states no albedo of the plane, --albedo is relative to it: 1 is as bright as the plane. See docs/insertion.md.
+    """
+
+    photo: Annotated[Path, tyro.conf.Positional, arg(metavar="PHOTO")]
+    """Photograph of the scene: PNG, JPEG, TIFF, EXR, HDR or RAW."""
+    scene: Annotated[Path, arg(metavar="SCENE")]
+    """Scene file (YAML): what stands there, the receiver, the camera."""
+    light: Annotated[Path, arg(metavar="LIGHT")]
+    """The light.exr that was recovered from this photograph, or any EXR or HDR in the same units."""
+    object: Annotated[Path, arg(metavar="MESH")]
+    """What to insert: .obj, .ply, .stl, .off, .glb or .gltf."""
+    out: Annotated[Path, arg(metavar="IMAGE")]
+    """Picture to write: .png or .jpg in the photograph's own encoding, or .exr (linear)."""
+    layer: Literal["composite", "straight", "premultiplied", "all"] = "composite"
+    """composite: the finished picture. straight, premultiplied: object and shadow as a layer with alpha, to be put over
+    the photograph in linear light; premultiplied is an .exr. all: the three, OUT_straight and OUT_premultiplied.exr
+    beside OUT."""
+    position: Annotated[tuple[float, float], arg(metavar="X Y")] = (0.0, 0.0)
+    """Where the middle of the object's bounding box stands, in the scene's unit."""
+    rotate: Annotated[float, arg(metavar="DEGREES")] = 0.0
+    """Turn about the plane's normal, counter-clockwise from above."""
+    up: Literal["x", "y", "z"] = "z"
+    """Axis of the mesh that points up; y for many."""
+    scale: float = 1.0
+    """Factor from the mesh's numbers to the scene's unit."""
+    units: Literal["mm", "cm", "m", "inch"] | None = None
+    """Unit of the mesh, converted to the scene's; instead of, or on top of, --scale."""
+    pose: Annotated[str | None, arg(metavar="16 NUMBERS")] = None
+    """Mesh to world as a 4 x 4 matrix, row by row, separated by commas; instead of the five above."""
+    albedo: Annotated[tuple[float, float, float], arg(metavar="R G B")] = (0.6, 0.6, 0.6)
+    """Of the object's diffuse part, linear."""
+    gloss: float = 0.0
+    """Share of light that the glossy lobe (GGX) throws back, 0 to 1; the diffuse part keeps 1 - GLOSS of its albedo."""
+    roughness: float = 0.3
+    """Of the lobe: 0.1 is shiny, 0.5 is satin."""
+    bounce: bool = False
+    """Let the plane throw light back on the object, once."""
+    only_receiver: bool = False
+    """Let the plane, and the shadow, end where the scene's receiver does. Default: the plane goes on."""
+    fit_brightness: bool = False
+    """Scale the light, per channel, to what the photograph shows of the plane; done unasked where the scene has a
+    reference."""
+    convention: Convention | None = None
+    """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
+    rays: int = 8192
+    """Directions the light is cut into."""
+    overwrite: bool = False
+    """Replace existing pictures."""
+
+
+@dataclass(frozen=True)
+class Relight:
+    """Turn a photograph into what it would be under another light, or without the shadows on its plane.
+
+    Pixels of the plane are multiplied by the ratio of the irradiances; so are those of the objects, taken as diffuse.
+    To render a scene without a photograph: torchlight render.
+    """
+
+    scene: Annotated[Path, tyro.conf.Positional, arg(metavar="SCENE")]
+    """Scene file (YAML)."""
+    light: Annotated[Path, tyro.conf.Positional, arg(metavar="LIGHT")]
+    """The new light; with --remove-shadow the light of the photograph. EXR or HDR."""
+    photo: Annotated[Path, arg(metavar="PHOTO")]
+    """Photograph of the scene."""
+    out: Annotated[Path, arg(metavar="IMAGE")]
+    """Picture to write: .png or .jpg in the photograph's own encoding, or .exr (linear)."""
+    from_light: Annotated[Path | None, arg(name="from", metavar="OLD_LIGHT")] = None
+    """The light of the photograph, such as the light.exr that was recovered from it."""
+    remove_shadow: bool = False
+    """Show the plane as it would be without the objects on it."""
+    hole: Literal["fill", "transparent", "keep"] = "fill"
+    """Of --remove-shadow, the objects' own pixels. fill: the plane is continued smoothly over them. transparent: alpha
+    0. keep: as photographed."""
+    gain: float = 8.0
+    """A pixel is brightened at most so many times, beyond what the lights differ by on the whole."""
+    exposure: float = 1.0
+    """Factor applied before writing."""
+    convention: Convention | None = None
+    """Axes of lat-long lights; default: what their metadata say, else torchlight's."""
+    rays: int = 8192
+    """Directions each light is cut into."""
+    overwrite: bool = False
+    """Replace an existing picture."""
+
+
+@dataclass(frozen=True)
 class Evaluate:
     """Compare a photograph with the scene relit by a light; JSON on standard output."""
 
@@ -452,6 +543,8 @@ Command = (
     | Annotated[Sweep, tyro.conf.subcommand("sweep")]
     | Annotated[Analyze, tyro.conf.subcommand("analyze")]
     | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[Insert, tyro.conf.subcommand("insert")]
+    | Annotated[Relight, tyro.conf.subcommand("relight")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]

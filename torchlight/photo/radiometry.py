@@ -110,6 +110,17 @@ def apply_response(
     return torch.lerp(low, high, share).movedim(0, -3)
 
 
+def inverse_response(values: Float[Tensor, "3 height width"], response: Response) -> Float[Tensor, "3 height width"]:
+    """Returns the stored values in [0, 1] of exposures: the inverse of `apply_response`, clamped to its codes."""
+    table = response.exposure.to(values)
+    last = table.shape[-1] - 1
+    flat = values.flatten(start_dim=1).contiguous()
+    below = (torch.searchsorted(table.contiguous(), flat, right=True) - 1).clamp(0, last - 1)
+    low, high = table.gather(1, below), table.gather(1, below + 1)
+    share = ((flat - low) / (high - low)).clamp(0, 1)
+    return ((below + share) / last).reshape(values.shape)
+
+
 def saturated(
     pixels: Float[Tensor, "*batch channels height width"], bits: int | None
 ) -> Bool[Tensor, "*batch height width"]:

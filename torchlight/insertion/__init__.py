@@ -1,0 +1,1 @@
+"""An object into a photograph by the light recovered from it, and photographs under another light; see `rendering`."""
