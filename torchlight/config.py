@@ -112,7 +112,7 @@ class Method:
     compute: Compute = Compute()
 
 
-DEFAULTS = Config()
+DEFAULTS, METHOD_DEFAULTS = Config(), Method()
 
 
 def leaves(node: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -65,6 +65,8 @@ class Batch:
     """Of the Ray cluster; default: one on this machine, of --workers workers."""
     merge: Annotated[Path | None, arg(metavar="DIR")] = None
     """Do nothing but write the tables of DIR, whose shards have ended or are at work."""
+    parquet: bool = False
+    """Write results.parquet beside results.csv (extra parquet): columns with types."""
     config: Annotated[Path | None, arg(metavar="FILE")] = None
     """Settings (YAML), as torchlight config show prints them; options given beside it count."""
     settings: Settings = tree.DEFAULTS
@@ -267,7 +269,7 @@ class Joint:
     """Replace existing results."""
     config: Annotated[Path | None, arg(metavar="FILE")] = None
     """Settings (YAML), as torchlight config show prints them; options given beside it count."""
-    settings: Annotated[tree.Method, tyro.conf.FlagConversionOff, arg(name="")] = tree.Method()
+    settings: Annotated[tree.Method, tyro.conf.FlagConversionOff, arg(name="")] = tree.METHOD_DEFAULTS
 
 
 @dataclass(frozen=True)
