@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from torchlight.precomputation import precompute as precompute
     from torchlight.relighting import irradiance as irradiance
     from torchlight.relighting import relight as relight
+    from torchlight.relighting import relight_by as relight_by
     from torchlight.solvers import NNLS as NNLS
     from torchlight.solvers import NonnegativeSynthesis as NonnegativeSynthesis
     from torchlight.solvers import ProjectedAdam as ProjectedAdam
@@ -77,6 +78,7 @@ _HOME = {
     "read_light": "io.lights",
     "read_photo": "io.images",
     "relight": "relighting",
+    "relight_by": "relighting",
     "solve": "inversion.linear",
     "stream": "streaming",
     "write_light": "io.lights",
@@ -111,6 +113,7 @@ __all__ = [
     "read_light",
     "read_photo",
     "relight",
+    "relight_by",
     "solve",
     "stream",
     "write_light",
