@@ -18,6 +18,7 @@ from torchlight.geometry.visibility import OcclusionTest, scene_occlusion
 from torchlight.light.cubature import cubature
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.overlap import latlong_to_texels
+from torchlight.precision import check_precision
 from torchlight.threads import ordered_map
 from torchlight.transfer import Transfer
 
@@ -31,6 +32,8 @@ def irradiance(
     matrix: Float[Tensor, "points coeffs"], coefficients: Float[Tensor, "*batch coeffs"]
 ) -> Float[Tensor, "*batch points"]:
     """Returns E = T c, the irradiance of every sample under light with coefficients c; torch differentiates it."""
+    check_precision("matrix", matrix)
+    check_precision("coefficients", coefficients)
     return coefficients @ matrix.T
 
 
@@ -93,7 +96,6 @@ def relight_by(transfer: Transfer, scene: Scene, environment: EnvironmentMap) ->
         SceneError: the light stands elsewhere than where the transport, made for the scene, takes it.
     """
     check_precision("radiance", environment.radiance)
-    check_precision("transport", transfer.transport)
     if transfer.transport.shape[0] != scene.receiver.points:
         raise ShapeError(
             f"transport: {transfer.transport.shape[0]} samples, but the scene's receiver has {scene.receiver.points}; "
@@ -104,12 +106,6 @@ def relight_by(transfer: Transfer, scene: Scene, environment: EnvironmentMap) ->
     texels = latlong_to_texels(environment.radiance.to(transfer.transport), transfer.resolution)
     values = transfer.mv(texels).to(environment.radiance)
     return values * albedo_over_pi(scene.receiver, values)
-
-
-def check_precision(name: str, tensor: Tensor) -> None:
-    """Raises ShapeError for half precision."""
-    if tensor.dtype not in (torch.float32, torch.float64):
-        raise ShapeError(f"{name}: expected float32 or float64, got {tensor.dtype}; convert it with .float()")
 
 
 def lit_by(scene: Scene, environment: EnvironmentMap) -> Scene:
