@@ -56,7 +56,7 @@ class Pairs:
     clean: Tensor
 
 
-def main(out: Path, steps: int = 240, photographs: int = 12, seed: int = 0) -> None:
+def main(out: Path, steps: int = 160, photographs: int = 12, seed: int = 0) -> None:
     """Trains, prints what that brought, and draws.
 
     Args:
@@ -97,21 +97,22 @@ def main(out: Path, steps: int = 240, photographs: int = 12, seed: int = 0) -> N
 def weigher() -> torch.nn.Module:
     """Returns a network from a picture, what is not explained of it, and what is visible, to a logit per sample."""
     return torch.nn.Sequential(
-        torch.nn.Conv2d(7, 24, 3, padding=1),
+        torch.nn.Conv2d(7, 24, 3, padding=1, padding_mode="replicate"),
         torch.nn.ReLU(),
-        torch.nn.Conv2d(24, 24, 3, padding=1),
+        torch.nn.Conv2d(24, 24, 3, padding=1, padding_mode="replicate"),
         torch.nn.ReLU(),
-        torch.nn.Conv2d(24, 1, 3, padding=1),
+        torch.nn.Conv2d(24, 1, 3, padding=1, padding_mode="replicate"),
     )
 
 
 def weights(network: torch.nn.Module, matrix: Tensor, seen: Tensor, visible: Tensor) -> Tensor:
-    """Returns how much each sample counts, in [0, 1]; 0 where the photograph does not show it."""
+    """Returns how much each sample counts, as a share of the one that counts most; 0 where it is not seen."""
     with torch.no_grad():
         left = seen - tl.irradiance(matrix, light(matrix, seen, visible.expand(len(seen), -1)))
     mask = visible.expand(len(seen), 1, -1)
     features = torch.cat([seen * visible, 20 * left * visible, mask], dim=1).unflatten(-1, (SIDE, SIDE))
-    return torch.sigmoid(network(features).flatten(start_dim=-2)[:, 0] + 2) * visible
+    logits = network(features).flatten(start_dim=-2)[:, 0].masked_fill(visible == 0, -torch.inf)
+    return torch.exp(logits - logits.amax(dim=-1, keepdim=True))  # a common factor of all weights says nothing
 
 
 def light(matrix: Tensor, seen: Tensor, weight: Tensor) -> Tensor:
