@@ -198,6 +198,18 @@ def test_the_default_is_adaptive(tmp_path: Path) -> None:
     assert max(result(tmp_path)["functions"]) <= 60
 
 
+def test_settings_come_from_a_file_as_in_estimate(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text("light: {method: texels, resolution: 8}\nsolver: {name: ridge, robust: true}\n")
+    ran = run("joint", files(tmp_path), "--out", tmp_path / "a", "--config", tmp_path / "c.yaml", "--robust", "false")
+    options = ("--light.method", "texels", "--light.resolution", 8, "--solver.name", "ridge")
+    again = run("joint", tmp_path / "views.yaml", "--out", tmp_path / "b", *options)
+    assert (ran.code, ran.err, again.code, again.err) == (0, "", 0, "")
+    told = json.loads((tmp_path / "a" / "joint.json").read_text())
+    assert (told["method"], told["resolution"], told["solver"]) == ("texels", 8, "ridge")
+    assert not told["nonnegative"]
+    assert told == json.loads((tmp_path / "b" / "joint.json").read_text())
+
+
 # --- what is refused -----------------------------------------------------------------------------------------------
 
 ONE = "photographs:\n  - {scene: one.yaml, photo: one.png}\n"
@@ -249,6 +261,15 @@ def spoil(folder: Path, name: str) -> str:
         return "reference smooth changes its level"
     scene_file(folder, BOX + RECEIVER, "two.yaml")
     return "two.png: "
+
+
+@pytest.mark.parametrize("setting", ["checks: {skip_near_test: true}", "output: {skip_pictures: true}"])
+def test_a_setting_of_single_photographs_is_refused(tmp_path: Path, setting: str) -> None:
+    (tmp_path / "c.yaml").write_text(setting)
+    ran = run("joint", files(tmp_path), "--out", tmp_path / "out", "--config", tmp_path / "c.yaml")
+    assert ran.code == 2
+    assert "torchlight joint has no such setting; leave it away" in ran.line
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("name", ["unreadable", "black", "units", "reference", "encoding"])

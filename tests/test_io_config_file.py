@@ -37,7 +37,7 @@ def test_settings_by_path_are_those_of_the_tree() -> None:
 def test_options_say_what_differs() -> None:
     assert as_options(Config()) == []
     options = "--light.method texels --light.resolution 8 --adaptive.noise 0.001 --solver.name ridge"
-    assert as_options(CHANGED) == [*options.split(), "--solver.robust", "--output.skip-pictures"]
+    assert as_options(CHANGED) == [*options.split(), "--solver.robust", "True", "--output.skip-pictures", "True"]
 
 
 def test_every_setting_can_stand_in_a_file(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -162,6 +163,21 @@ def test_under_an_even_sky_any_method_predicts_any_pose_and_the_fit_is_the_noise
     assert 0.95 * 0.02 * 250 < noisy["fit_rms_255"] < 0.02 * 255
     assert noisy["held_out_rms_255"] < noisy["fit_rms_255"] / 2
     assert quiet["functions"] == noisy["functions"] == 12  # 2 x 2 on top, 2 above the horizon on each of four sides
+
+
+def test_every_seed_draws_noise_of_its_own(asked: Path, tmp_path: Path) -> None:
+    data = read_sweep(asked).data
+    receiver = Receiver((0.0, 0.0), (4.0, 4.0), (8, 8))
+
+    def drawn(seed: int) -> torch.Tensor:
+        noisy = replace(data, noise=0.02, seed=seed)  # pyright: ignore[reportArgumentType, reportCallIssue]
+        return scoring.photograph(data.lights[0], noisy, receiver, tmp_path)[0]  # pyright: ignore[reportAttributeAccessIssue, reportArgumentType]
+
+    photographs = [drawn(seed) for seed in (0, 1, 2, 2**32 - 1)]
+    for index, one in enumerate(photographs):
+        for other in photographs[:index]:
+            assert (one != other).float().mean() > 0.5
+    assert torch.equal(drawn(1), photographs[1])
 
 
 def test_truth_is_the_analytic_shadow_and_outlives_damage(asked: Path, tmp_path: Path) -> None:

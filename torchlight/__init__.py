@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from torchlight.precomputation import precompute as precompute
     from torchlight.relighting import irradiance as irradiance
     from torchlight.relighting import relight as relight
+    from torchlight.relighting import relight_by as relight_by
     from torchlight.solvers import NNLS as NNLS
     from torchlight.solvers import NonnegativeSynthesis as NonnegativeSynthesis
     from torchlight.solvers import ProjectedAdam as ProjectedAdam
@@ -85,6 +86,7 @@ _HOME = {
     "read_light": "io.lights",
     "read_photo": "io.images",
     "relight": "relighting",
+    "relight_by": "relighting",
     "relight_photo": "insertion.relit",
     "remove_shadow": "insertion.relit",
     "solve": "inversion.linear",
@@ -124,6 +126,7 @@ __all__ = [
     "read_light",
     "read_photo",
     "relight",
+    "relight_by",
     "relight_photo",
     "remove_shadow",
     "solve",

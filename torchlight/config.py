@@ -15,6 +15,8 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
+SWITCH = "[true|false]"  # alone it is on; false is for what a --config file switches on
+
 
 @dataclass(frozen=True)
 class Light:
@@ -49,7 +51,7 @@ class Solver:
 
     name: Annotated[Literal["nnls", "ridge", "adam"], arg(aliases=["--solver"])] = "nnls"
     """nnls: exact, radiance nowhere negative. ridge: least squares, unconstrained. adam: projected gradients."""
-    robust: Annotated[bool, arg(aliases=["--robust"])] = False
+    robust: Annotated[bool, arg(aliases=["--robust"], metavar=SWITCH)] = False
     """Let go of samples that no light explains, such as thin foreign shadows: five solves with Huber's weights. They
     are grey in fit.png."""
 
@@ -63,10 +65,10 @@ class Checks:
     ] = None
     """Move and turn the occluders to where their shadow, or their outline in the picture, says they stand, photograph
     by photograph, and say by how much; a moved object has its own transport. Alone: shadow. See docs/scenes.md."""
-    estimate_height: Annotated[bool, arg(aliases=["--estimate-height"])] = False
+    estimate_height: Annotated[bool, arg(aliases=["--estimate-height"], metavar=SWITCH)] = False
     """Where the near-light test finds the light near, take it as standing at the height that the test finds, and say
     so; else as far away. A known height is better stated in the scene file: light.height. See docs/near_light.md."""
-    skip_near_test: Annotated[bool, arg(aliases=["--skip-near-test"])] = False
+    skip_near_test: Annotated[bool, arg(aliases=["--skip-near-test"], metavar=SWITCH)] = False
     """Do not ask whether the light is near. See docs/near_light.md."""
 
 
@@ -77,7 +79,7 @@ class Compute:
     device: Annotated[Literal["auto", "cpu", "cuda"], arg(aliases=["--device"])] = "auto"
     """Where to find shadows and to solve; auto is the GPU where there is one, for --method adaptive the CPU. See
     docs/gpu.md."""
-    no_cache: Annotated[bool, arg(aliases=["--no-cache"])] = False
+    no_cache: Annotated[bool, arg(aliases=["--no-cache"], metavar=SWITCH)] = False
     """Neither read nor write scenes' transports on disk."""
 
 
@@ -85,11 +87,11 @@ class Compute:
 class Output:
     """What is written for each photograph."""
 
-    skip_pictures: Annotated[bool, arg(aliases=["--skip-pictures"])] = False
+    skip_pictures: Annotated[bool, arg(aliases=["--skip-pictures"], metavar=SWITCH)] = False
     """Write the light and the numbers, but no fit.png, no refinement.png and no report.html of the photograph."""
-    skip_confidence: Annotated[bool, arg(aliases=["--skip-confidence"])] = False
+    skip_confidence: Annotated[bool, arg(aliases=["--skip-confidence"], metavar=SWITCH)] = False
     """Do not ask how far the light can be trusted: no confidence.exr. See docs/results.md."""
-    skip_report: Annotated[bool, arg(aliases=["--skip-report"])] = False
+    skip_report: Annotated[bool, arg(aliases=["--skip-report"], metavar=SWITCH)] = False
     """Write no report.html."""
     fill: Annotated[Literal["none", "constant", "smooth"], arg(aliases=["--fill"])] = "none"
     """What the light has where the photograph determines nothing: below the plane, and where no sample sees it. none:
@@ -113,7 +115,17 @@ class Config:
     output: Output = Output()
 
 
-DEFAULTS = Config()
+@dataclass(frozen=True)
+class Method:
+    """The part of the tree that asks nothing of single photographs: what `torchlight joint` takes."""
+
+    light: Light = Light()
+    adaptive: Adaptive = Adaptive()
+    solver: Solver = Solver()
+    compute: Compute = Compute()
+
+
+DEFAULTS, METHOD_DEFAULTS = Config(), Method()
 
 
 def leaves(node: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -129,9 +141,5 @@ def leaves(node: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 def as_options(config: Config) -> list[str]:
     """Returns the command-line options that say what differs from the defaults."""
     usual = dict(leaves(DEFAULTS))
-    options: list[str] = []
-    for path, value in leaves(config):
-        name = "--" + path.replace("_", "-")
-        if value != usual[path]:
-            options += [name] if value is True else [name, str(value)]
-    return options
+    changed = {path: value for path, value in leaves(config) if value != usual[path]}
+    return [word for path, value in changed.items() for word in ("--" + path.replace("_", "-"), str(value))]

@@ -28,6 +28,7 @@ from torchlight.geometry.crossings import GridContours, Rectangles, on_grid, vis
 from torchlight.geometry.scene import Scene
 from torchlight.light import cubemap
 from torchlight.light.bases import Basis
+from torchlight.precision import check_precision
 from torchlight.threads import ordered_map
 
 ALGORITHM = "transport-2"  # part of the cache key: raise it whenever the numbers change
@@ -53,6 +54,7 @@ class Transfer:
     resolution: int
 
     def __post_init__(self) -> None:
+        check_precision("transport", self.transport)
         texels = cubemap.texel_count(self.resolution)
         if self.transport.shape[1] != texels:
             raise ShapeError(

@@ -1,15 +1,18 @@
 """How many photographs `torchlight batch` does in a second, what that costs in memory, and what a second worker brings.
 
-    python scripts/bench/batch.py --count 2000 --scenes 100 --data DIR
+    python scripts/bench/batch.py --count 2000 --ratio-count 200 --scenes 1000 --data DIR
+    python scripts/bench/batch.py --count 0 --ratio-count 200 --scenes 0 --data DIR
 
-One scene with many photographs under turned light probes (without DIR, under the built-in sky), with one worker (one
-process of one thread) and with two; then scenes of one photograph each, whose transports nothing shares. Resident
-memory is that of all processes together when 10, 50 and 100 % of the photographs have ended.
+One scene with many photographs under turned light probes (without DIR, under the built-in sky) with two workers; fewer
+of them with one worker (one process of one thread) and with two, for the ratio; then scenes of one photograph each,
+whose transports nothing shares. A part of no photographs is left out. Resident memory is that of all processes together
+when 10, 50 and 100 % of the photographs have ended; the shares are of the time of all processes, by stage.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -34,11 +37,12 @@ receiver: {{size: [4, 4], samples: [64, 64]}}
 photo: {{encoding: linear}}
 """
 MARKS = (0.1, 0.5, 1.0)
+SHARE = re.compile(r"([a-z][a-z ]*) (\d+)%")
 
 
 @dataclass(frozen=True)
 class Run:
-    """What one batch took: seconds from the shell, and resident GiB at the marks."""
+    """What one batch took: seconds from the shell, resident GiB at the marks, and what it said last."""
 
     seconds: float
     resident: tuple[float, ...]
@@ -47,7 +51,8 @@ class Run:
 
 def main(
     count: int = 2000,
-    scenes: int = 100,
+    ratio_count: int = 200,
+    scenes: int = 1000,
     data: Path | None = None,
     options: str = "--skip-pictures --skip-near-test",
     out: Path = OUT,
@@ -55,35 +60,39 @@ def main(
     """Prints the table and saves it.
 
     Args:
-        count: photographs of the one scene.
+        count: photographs of the one scene, with two workers.
+        ratio_count: of these, those that one worker and two are compared on.
         scenes: of one photograph each.
         data: folder of light probes (DIR/probes/*.hdr).
         options: of `torchlight batch`.
         out: folder for batch.csv.
     """
+    rows: list[dict[str, object]] = []
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        one, many = one_scene(folder / "one", count, data), many_scenes(folder / "many", scenes)
-        words = options.split()
-        alone = batch(one, folder / "alone", count, 1, words)
-        both = batch(one, folder / "both", count, 2, words)
-        each = batch(many, folder / "each", scenes, 2, words)
-    rows = [
-        row("one scene", count, 1, alone),
-        row("one scene", count, 2, both) | {"times one worker": round(alone.seconds / both.seconds, 2)},
-        row("a scene each", scenes, 2, each),
-    ]
+        folder, words = Path(name), options.split()
+        if ratio_count > 0:
+            few = one_scene(folder / "few", ratio_count, data)
+            alone = batch(few, folder / "alone", ratio_count, 1, words)
+            both = batch(few, folder / "both", ratio_count, 2, words)
+            ratio = {"times one worker": round(alone.seconds / both.seconds, 2)}
+            rows += [row("one scene", ratio_count, 1, alone), row("one scene", ratio_count, 2, both) | ratio]
+        if count > 0:
+            one = one_scene(folder / "one", count, data)
+            rows += [row("one scene", count, 2, batch(one, folder / "whole", count, 2, words))]
+        if scenes > 0:
+            many = many_scenes(folder / "many", scenes)
+            rows += [row("a scene each", scenes, 2, batch(many, folder / "each", scenes, 2, words))]
     print(markdown(rows))
     save("batch", rows, threads=1, out=out)
-    for run in (alone, both, each):
-        print(run.said)
 
 
 def row(case: str, count: int, workers: int, run: Run) -> dict[str, object]:
     """Returns a line of the table."""
     marks = {f"GiB at {mark:.0%}": round(size, 3) for mark, size in zip(MARKS, run.resident, strict=True)}
     rate = {"photographs a second": round(count / run.seconds, 2), "seconds each": round(run.seconds / count, 3)}
-    return {"case": case, "photographs": count, "workers": workers, "seconds": round(run.seconds, 1), **rate, **marks}
+    shares = {f"{stage}, %": int(share) for stage, share in SHARE.findall(run.said)}
+    stated = {"case": case, "photographs": count, "workers": workers, "seconds": round(run.seconds, 1)}
+    return {**stated, **rate, **marks, **shares}
 
 
 def one_scene(folder: Path, count: int, data: Path | None) -> Path:

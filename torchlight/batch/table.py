@@ -13,10 +13,30 @@ from torchlight.errors import FormatError
 from torchlight.io.batch_folder import JOURNAL, read_object, write_lines, write_table
 from torchlight.io.journal import Record, records
 from torchlight.io.manifest import Entry
+from torchlight.io.parquet import Kind, write_parquet
 
-FIGURES = (
-    "rms_255", "rms_relative", "visible", "points", "visible_share", "method", "resolution", "solver", "peak_share"
-)  # fmt: skip
+FIGURES: Mapping[str, Kind] = {
+    "rms_255": "float64",
+    "rms_relative": "float64",
+    "visible": "int64",
+    "points": "int64",
+    "visible_share": "float64",
+    "method": "string",
+    "resolution": "int64",
+    "solver": "string",
+    "peak_share": "float64",
+}
+COLUMNS: Mapping[str, Kind] = {
+    **dict.fromkeys(("name", "photo", "scene", "state", "reason"), "string"),
+    "warnings": "int64",
+    **FIGURES,
+    "functions": "int64",
+    "peak_azimuth_degrees": "float64",
+    "peak_elevation_degrees": "float64",
+    "near": "bool",
+    "drift_degrees": "float64",
+}
+PARQUET, TAG = "results.parquet", "tag."
 
 
 def write_tables(out: Path, entries: Sequence[Entry]) -> list[dict[str, Any]]:
@@ -25,6 +45,19 @@ def write_tables(out: Path, entries: Sequence[Entry]) -> list[dict[str, Any]]:
     write_lines(out / "results.jsonl", rows)
     write_table(out / "results.csv", rows)
     return rows
+
+
+def write_typed_table(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Writes results.parquet: the rows of `write_tables`, every column of one type whatever the rows hold.
+
+    Tags are texts.
+
+    Raises:
+        ConfigError: pyarrow is not installed.
+        FormatError: the file cannot be written.
+    """
+    tags = dict.fromkeys(key for row in rows for key in row if key.startswith(TAG))
+    write_parquet(out / PARQUET, rows, {**COLUMNS, **dict.fromkeys(tags, "string")})
 
 
 def table(out: Path, entries: Sequence[Entry]) -> Iterator[dict[str, Any]]:
@@ -38,7 +71,7 @@ def table(out: Path, entries: Sequence[Entry]) -> Iterator[dict[str, Any]]:
     for entry in entries:
         record = ended.get(entry.name)
         known = {"name": entry.name, "photo": str(entry.photo), "scene": str(entry.scene)}
-        tags = {f"tag.{key}": value for key, value in entry.tags}
+        tags = {f"{TAG}{key}": value for key, value in entry.tags}
         if complete(out, entry.name):
             found, reason = figures(out, entry.name)
             state = "failed" if reason else "done"

@@ -16,6 +16,7 @@ import tyro
 from torchlight.cli import arguments
 from torchlight.cli.config_option import expanded
 from torchlight.cli.loading import begin, loaded
+from torchlight.cli.spelling import spelled_out
 from torchlight.cli.usage import complaint_in_one_line
 from torchlight.errors import TorchlightError
 
@@ -25,7 +26,6 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 NOTHING_STARTED = 2
 INTERRUPTED = 130
-REFINE_POSE = ("--refine-pose", "--checks.refine-pose")
 PIPE_CLOSED = 141
 DESCRIPTION = "Recovers light from shadows: photographs of a known object on a plane in, an HDR environment map out."
 
@@ -103,16 +103,6 @@ def parsed_alone(words: Sequence[str]) -> arguments.Command | None:
             return tyro.cli(tyro.conf.FlagCreatePairsOff[kinds[words[0]]], args=words[1:])  # pyright: ignore
     except SystemExit:
         return None
-
-
-def spelled_out(argv: Sequence[str]) -> list[str]:
-    """Returns the arguments with `shadow` after a bare `--refine-pose`."""
-    words = list(argv)
-    if words[:1] not in (["estimate"], ["batch"], ["config"]):
-        return words
-    following = zip(words, [*words, ""][1:], strict=True)
-    bare = [word in REFINE_POSE and after not in ("shadow", "silhouette", "None") for word, after in following]
-    return [part for word, alone in zip(words, bare, strict=True) for part in ([word, "shadow"] if alone else [word])]
 
 
 def run(command: arguments.Command) -> int:

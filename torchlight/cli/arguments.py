@@ -14,6 +14,7 @@ from tyro.conf import arg
 
 from torchlight import config as tree
 
+Settings = Annotated[tree.Config, tyro.conf.FlagConversionOff, arg(name="")]  # switches take a value: cli.spelling
 Convention = Literal["torchlight", "blender", "openexr", "usd", "mitsuba", "skylibs", "threejs"]
 Kind = Literal[
     "torchlight",
@@ -48,7 +49,7 @@ class Estimate:
     """Replace existing results."""
     config: Annotated[Path | None, arg(metavar="FILE")] = None
     """Settings (YAML), as torchlight config show prints them; options given beside it count."""
-    settings: Annotated[tree.Config, arg(name="")] = tree.DEFAULTS
+    settings: Settings = tree.DEFAULTS
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,11 @@ class Batch:
     """Of the Ray cluster; default: one on this machine, of --workers workers."""
     merge: Annotated[Path | None, arg(metavar="DIR")] = None
     """Do nothing but write the tables of DIR, whose shards have ended or are at work."""
+    parquet: bool = False
+    """Write results.parquet beside results.csv (extra parquet): columns with types."""
     config: Annotated[Path | None, arg(metavar="FILE")] = None
     """Settings (YAML), as torchlight config show prints them; options given beside it count."""
-    settings: Annotated[tree.Config, arg(name="")] = tree.DEFAULTS
+    settings: Settings = tree.DEFAULTS
 
 
 @dataclass(frozen=True)
@@ -117,7 +120,7 @@ class Config:
     """What to do."""
     config: Annotated[Path | None, arg(metavar="FILE")] = None
     """Settings (YAML) to start from."""
-    settings: Annotated[tree.Config, arg(name="")] = tree.DEFAULTS
+    settings: Settings = tree.DEFAULTS
 
 
 @dataclass(frozen=True)
@@ -462,25 +465,11 @@ class Joint:
     """Which photographs, each with its scene file."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder that receives the results."""
-    method: Annotated[Literal["texels", "haar", "adaptive", "sh"], arg(aliases=["--basis"])] = "adaptive"
-    """What light is made of, as in torchlight estimate."""
-    resolution: int | None = None
-    """Texels along a cube map face's edge, as in torchlight estimate."""
-    degree: int = 5
-    """Largest degree of spherical harmonics; with --method sh."""
-    functions: int = 450
-    """Most Haar functions per channel; with --method adaptive."""
-    noise: float | None = None
-    """Standard deviation of the noise per sample, as a share of the brightest, of the photograph that counts most; with
-    --method adaptive. Default: as measured in the photographs, at least 0.0016."""
-    robust: bool = False
-    """Let go of samples that no light explains. They are grey in fit_*.png."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to solve; shadows are always found on the CPU, and --method adaptive solves there. See docs/gpu.md."""
     overwrite: bool = False
     """Replace existing results."""
-    no_cache: bool = False
-    """Neither read nor write the scenes' transports on disk."""
+    config: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Settings (YAML), as torchlight config show prints them; options given beside it count."""
+    settings: Annotated[tree.Method, tyro.conf.FlagConversionOff, arg(name="")] = tree.METHOD_DEFAULTS
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
@@ -15,9 +16,10 @@ from tqdm import tqdm
 from torchlight.batch.blocks import named_shard
 from torchlight.batch.local import on_processes
 from torchlight.batch.run import Batch, Engine, Progress, finished, in_this_process, merge, run_batch
-from torchlight.batch.table import counts, reasons
+from torchlight.batch.table import PARQUET, counts, reasons, write_typed_table
 from torchlight.cli import NOTHING_STARTED, arguments, fail
 from torchlight.errors import ConfigError
+from torchlight.io import parquet
 from torchlight.io.manifest import Entry, read_entries
 from torchlight.io.scene_file import load_scene
 
@@ -34,9 +36,10 @@ def run(command: arguments.Batch) -> int:
         TorchlightError: nothing could start.
     """
     if command.merge is not None:
-        return summarize(merge(command.merge))
+        return summarize(tables(command.merge, wants_parquet(command, command.merge)))
     if command.out is None:
         raise ConfigError("--out is missing; usage: torchlight batch MANIFEST|PATTERN --scene SCENE --out DIR")
+    typed = wants_parquet(command, command.out)
     entries = read_entries(command.sources, command.scene)
     check_only_scene(entries)
     batch = Batch(tuple(entries), command.out, command.settings, named_shard(command.shard), command.retry_failed)
@@ -46,10 +49,30 @@ def run(command: arguments.Batch) -> int:
             f"{command.out}: {batch.shard.name} has ended; others are pending: torchlight batch --merge {command.out}"
         )
         return SOME_FAILED if last is not None and last.failed else 0
-    code = summarize(merge(command.out))
+    code = summarize(tables(command.out, typed))
     if last is not None:
         print(cost(last))
     return code
+
+
+def tables(out: Path, typed: bool) -> list[dict[str, Any]]:
+    """Writes the tables of a batch, results.parquet among them where it is wanted, and returns their rows."""
+    rows = merge(out)
+    if typed:
+        write_typed_table(out, rows)
+    return rows
+
+
+def wants_parquet(command: arguments.Batch, out: Path) -> bool:
+    """Returns whether results.parquet is asked for, or there already: an old one would not agree with the others.
+
+    Raises:
+        ConfigError: it is wanted, and pyarrow is not installed.
+    """
+    wanted = command.parquet or (out / PARQUET).is_file()
+    if wanted:
+        parquet.installed()  # said before anything is written
+    return wanted
 
 
 def engine_of(command: arguments.Batch) -> Engine:

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import torch
 
-from torchlight import config, doubts
+from torchlight import doubts
 from torchlight.analysis.added import Added, Determined, added
 from torchlight.analysis.sampling import random_rotations
 from torchlight.batch.ending import unusable_channels
 from torchlight.cli import arguments, fail
 from torchlight.cli.progress import progress_bar
-from torchlight.config import Config
+from torchlight.config import Config, Method
 from torchlight.errors import ConfigError, FormatError, SolveError, TorchlightError
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.adaptive import AdaptiveHaar
@@ -71,17 +71,18 @@ def run(command: arguments.Joint) -> int:
         TorchlightError: something is wrong with the call, a file or a photograph; it is named, and nothing is written.
     """
     check_place(command)
-    basis, solver = named_method(as_config(command))
-    device = named_device(command.device)
+    settings = command.settings
+    basis, solver = named_method(whole(settings))
+    device = named_device(settings.compute.device, solver)
     pictured = read_views(command.views)
     photos = [item.photo for item in pictured]
     read = with_exif([read_view(item, photos, device) for item in pictured])
     views = [item.view for item in read]
     check_views(views)
     transfers = [transfer_of(item, dense_resolution(basis, solver), command) for item in read]
-    joint = solved(views, [transfer.to(device) for transfer in transfers], basis, solver, command.robust)
+    joint = solved(views, [transfer.to(device) for transfer in transfers], basis, solver, settings.solver.robust)
     told = what_was_added(read, joint, command)
-    asked = Asked(command.method, BANDWIDTH_MAX, ROTATIONS, NOISE)
+    asked = Asked(settings.light.method, settings.solver.name, BANDWIDTH_MAX, ROTATIONS, NOISE)
     origins = sources(read)
     write_joint(command.out, joint, origins, told, asked, command.overwrite)
     report(command, origins, joint, told)
@@ -99,10 +100,9 @@ def check_place(command: arguments.Joint) -> None:
         raise FormatError(f"{command.out}: not a joint result, so --overwrite leaves it; choose another --out")
 
 
-def as_config(command: arguments.Joint) -> Config:
-    """Returns the method's options as those of `torchlight estimate`."""
-    light = config.Light(command.method, command.resolution, command.degree)
-    return Config(light, config.Adaptive(command.functions, noise=command.noise))
+def whole(settings: Method) -> Config:
+    """Returns the tree of `torchlight estimate` with these settings in it."""
+    return Config(settings.light, settings.adaptive, settings.solver, compute=settings.compute)
 
 
 def warn(photo: Path, doubt: str) -> None:
@@ -161,9 +161,10 @@ def exposed(item: Read, scale: float) -> Read:
 
 def transfer_of(item: Read, resolution: int, command: arguments.Joint) -> Transfer:
     """Returns the transport of a photograph's scene; errors name the scene file."""
+    use_cache = not command.settings.compute.no_cache
     try:
         with progress_bar(f"transport of {item.pictured.scene.name}") as progress:
-            return precompute(item.view.scene, resolution, use_cache=not command.no_cache, progress=progress)
+            return precompute(item.view.scene, resolution, use_cache=use_cache, progress=progress)
     except TorchlightError as error:
         raise type(error)(f"{item.pictured.scene}: {error}") from error
 

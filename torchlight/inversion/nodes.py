@@ -25,7 +25,7 @@ TEXEL = -2  # no quarters: the finest level
 DENSE_RESOLUTION = 16  # as fine as this every square is cast beforehand; finer ones when a photograph asks
 CELLS_PER_EDGE = 192  # directions along a face's edge, and
 LEAST_CELLS = 4  # along a square's
-MAX_KEPT = 2**28  # entries of the columns kept for later: 2 GiB
+MAX_KEPT = 2**26  # entries of the columns kept for later: 512 MiB; to cast them anew is a tenth of a solve
 ROWS_PER_TASK = 256
 
 Cast = Callable[[Int[Tensor, "squares 4"], int], Float[Tensor, "squares points"]]

@@ -11,6 +11,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from torchlight.errors import FormatError
 from torchlight.io.files import reason
 
 PARTIAL = ".partial-"
+FLUSHED_TOGETHER = 8
 
 
 def write_atomically(path: str | Path, data: bytes) -> None:
@@ -41,7 +43,8 @@ def partial_file(path: str | Path) -> Iterator[Path]:
     temporary = _partial_name(target)
     try:
         yield temporary
-        _flush(temporary)
+        if PARTIAL not in target.parent.name:  # else with all of its folder: `_flush_all`
+            _flush(temporary)
         os.replace(temporary, target)  # noqa: PTH105 (tests interpose on os.replace)
     except FormatError:
         raise
@@ -68,6 +71,7 @@ def partial_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Pat
     try:
         temporary.mkdir(parents=True)
         yield temporary
+        _flush_all(temporary)
         _install_folder(temporary, target)
     except FormatError:
         raise
@@ -143,6 +147,13 @@ def _flush(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _flush_all(folder: Path) -> None:
+    """Forces all files of a folder to the disk, side by side: waiting for one after the other takes as many times."""
+    files = [path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
+    with ThreadPoolExecutor(FLUSHED_TOGETHER) as pool:
+        list(pool.map(_flush, files))
 
 
 def _write_error(target: Path, error: OSError) -> FormatError:

@@ -59,13 +59,23 @@ def cubature(environment: EnvironmentMap, *, count: int = 32_768, tolerance: flo
     Raises:
         ShapeError: a batch of maps.
         ConfigError: a count or a tolerance below 0.
+
+    Torch differentiates the fluxes, which are linear in the map where the cells stay the same; how the cells are cut
+    follows the map's brightness in steps and has no derivative.
     """
     if environment.radiance.ndim != 3:
         raise ShapeError(f"cubature: expected one map [3, height, width], got {list(environment.radiance.shape)}")
     if count < 1 or not tolerance >= 0:
         raise ConfigError(f"cubature: expected count >= 1 and tolerance >= 0, got {count} and {tolerance}")
     table = _flux_table(environment)
-    cells = _starting_cells(environment.radiance.device)
+    cells = _cut(table, count, tolerance)
+    return Cubature(_ray_directions(cells), _cell_fluxes(table, cells)[:, :3])
+
+
+@torch.no_grad()
+def _cut(table: _FluxTable, count: int, tolerance: float) -> Float[Tensor, "cells 4"]:
+    """Returns the cells (u0, u1, theta0, theta1)."""
+    cells = _starting_cells(table.sums.device)
     fluxes = _cell_fluxes(table, cells)
     while len(cells) < count:
         error = _error(cells, fluxes)
@@ -77,7 +87,7 @@ def cubature(environment: EnvironmentMap, *, count: int = 32_768, tolerance: flo
         halves = _halves(cells[order[:number]])
         cells = torch.cat([cells[order[number:]], halves])
         fluxes = torch.cat([fluxes[order[number:]], _cell_fluxes(table, halves)])
-    return Cubature(_ray_directions(cells), fluxes[:, :3])
+    return cells
 
 
 def _flux_table(environment: EnvironmentMap) -> _FluxTable:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchlight.errors import ShapeError
+from torchlight.precision import check_precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +27,14 @@ class LinearPhoto:
     usable: Bool[Tensor, "*batch height width"]
     saturated: Bool[Tensor, "*batch height width"] | None = None
 
+    def __post_init__(self) -> None:
+        check_precision("photograph", self.radiance)
+
 
 def linear_photo(radiance: Float[Tensor, "*batch 3 height width"]) -> LinearPhoto:
     """Returns a linear photograph all of whose finite pixels may be used."""
     if radiance.ndim < 3 or radiance.shape[-3] != 3:
         raise ShapeError(f"photograph: expected [..., 3, height, width], got {list(radiance.shape)}")
-    if radiance.dtype not in (torch.float32, torch.float64):
-        raise ShapeError(f"photograph: expected float32 or float64, got {radiance.dtype}; convert it with .float()")
     return LinearPhoto(radiance, torch.isfinite(radiance).all(dim=-3))
 
 
@@ -58,6 +60,9 @@ class Observation:
     samples: Float[Tensor, "*batch channels points"]
     weights: Float[Tensor, "*batch points"]
     rejected: UInt8[Tensor, "*batch points"] | None = None
+
+    def __post_init__(self) -> None:
+        check_precision("samples", self.samples)
 
     @property
     def rejections(self) -> UInt8[Tensor, "*batch points"]:

@@ -57,12 +57,14 @@ class Asked:
 
     Attributes:
         method: texels, haar, adaptive or sh.
+        solver: nnls, ridge or adam.
         bandwidth_max: largest bandwidth of the nullity curves.
         rotations: of their sampling directions.
         noise: of the observability.
     """
 
     method: str
+    solver: str
     bandwidth_max: int
     rotations: int
     noise: float
@@ -115,7 +117,7 @@ def summary(joint: JointEstimate, sources: Sequence[Source], told: Added, asked:
         "exposure_unit": exposure_unit(sources),
         "exposure_solves": joint.scales.rounds,
         "exposures_converged": joint.scales.converged,
-        **found_light(joint.estimate, asked.method, "nnls"),
+        **found_light(joint.estimate, asked.method, asked.solver),
         "added": added_summary(told, asked),
         "units": "relative",
         "light_is": meanings.pop() if len(meanings) == 1 else "radiance x exposure, albedo known in part",

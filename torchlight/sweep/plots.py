@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
@@ -134,7 +135,12 @@ def grouped(rows: Sequence[Row], key: str | None) -> Iterator[tuple[str | None, 
         yield None, rows
         return
     for value in dict.fromkeys(row[key] for row in rows):
-        yield str(value), [row for row in rows if row[key] == value]
+        yield named(value), [row for row in rows if row[key] == value]
+
+
+def named(value: Any) -> str:
+    """Returns a value as the sweep's file writes it."""
+    return str(value) if isinstance(value, str) else json.dumps(value)
 
 
 def numeric(axis: Axis) -> bool:
@@ -158,7 +164,7 @@ def along(drawn: Axes, axis: Axis) -> None:
         plain_numbers(drawn.xaxis)
     if isinstance(axis, Choices):
         drawn.xaxis.set_minor_locator(NullLocator())
-        drawn.set_xticks([places(axis)(value) for value in values], [str(value) for value in values])
+        drawn.set_xticks([places(axis)(value) for value in values], [named(value) for value in values])
 
 
 def upwards(drawn: Axes, scores: Sequence[float], label: str) -> None:

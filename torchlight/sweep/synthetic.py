@@ -106,7 +106,8 @@ def photograph(
     """
     values = truth(light, data.seen, receiver, folder)
     exposure = expose(values, visible_samples(block_scene(data.seen, receiver)))
-    generator = torch.Generator().manual_seed(data.seed * 2**32 + zlib.crc32(light.name.encode()))
+    # one number of 32 bits for name and seed: torch's generator takes no notice of higher ones
+    generator = torch.Generator().manual_seed(zlib.crc32(light.name.encode(), data.seed))
     drawn = torch.randn(values.shape, generator=generator, dtype=values.dtype)
     return eight_bit(values * exposure + data.noise * EXPOSED * drawn), exposure
 
