@@ -15,6 +15,7 @@ from tyro.conf import arg
 from torchlight import config as tree
 
 Convention = Literal["torchlight", "blender", "openexr", "usd", "mitsuba", "skylibs", "threejs"]
+Program = Literal["blender", "mitsuba", "openexr", "usd", "threejs", "skylibs"]
 
 
 @dataclass(frozen=True)
@@ -175,6 +176,33 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Export:
+    """Hand a light to other programs: pictures in their axes, and the scripts or scene files that load them.
+
+    Writes one folder, OUT/lamps.json in it: direction, size, colour and irradiance of the strongest lights. See
+    docs/export.md.
+    """
+
+    light: Annotated[Path, tyro.conf.Positional, arg(metavar="LIGHT")]
+    """EXR or HDR, or the folder of an estimate."""
+    to: Annotated[tuple[Program, ...], arg(metavar="PROGRAM [PROGRAM ...]")]
+    """blender, mitsuba, openexr, usd, threejs, skylibs: one or several."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder that receives the files."""
+    lamps: Annotated[int, arg(metavar="K")] = 0
+    """Take the K strongest lights out of the pictures and hand them over as lamps. lamps.json lists some anyway."""
+    strength: float = 1.0
+    """Factor that the scripts and scene files apply to all light; pictures keep their values."""
+    convention: Convention | None = None
+    """Axes of a lat-long LIGHT; default: what its metadata says, else torchlight's."""
+    observability: Annotated[Path | None, arg(metavar="FILE|DIR")] = None
+    """observability.exr of torchlight analyze, or its folder: how sure the photograph is of each lamp. Default: the one
+    beside LIGHT, if there."""
+    overwrite: bool = False
+    """Replace an existing export."""
+
+
+@dataclass(frozen=True)
 class Merge:
     """Merge exposure brackets of one view into a linear picture: OUT.exr, and OUT_mask.png beside it.
 
@@ -318,6 +346,7 @@ Command = (
     | Annotated[Analyze, tyro.conf.subcommand("analyze")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]
     | Annotated[Target, tyro.conf.subcommand("target")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
