@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from jaxtyping import Float
@@ -23,7 +24,7 @@ from torchlight.io.atomic import check_writable
 from torchlight.io.exr import read_exr
 from torchlight.io.lights import read_light
 from torchlight.light.environment import EnvironmentMap, negative_share
-from torchlight.light.lamps import extract_lamps
+from torchlight.light.lamps import Lamp, extract_lamps
 
 TARGETS = {
     "blender": blender,
@@ -48,15 +49,11 @@ def run(command: arguments.Export) -> int:
     taken = command.lamps > 0
     shown, given = (rest, lamps) if taken else (light, ())
     handovers = {name: TARGETS[name](shown, given, command.strength) for name in dict.fromkeys(command.to)}
-    write_export(
-        command.out,
-        list(handovers.values()),
-        lamps_content(light, rest, lamps, taken, observability),
-        command.overwrite,
-    )
+    content = lamps_content(light, rest, lamps, taken, observability)
+    write_export(command.out, list(handovers.values()), content, command.overwrite)
     for name, handover in handovers.items():
         print(f"{name}: {', '.join([*handover.pictures, *handover.texts])}; {handover.use}")
-    print(f"{command.out / LAMPS}: {lamps_line(command.lamps, len(lamps), sum(lamp.share for lamp in lamps))}")
+    print(f"{command.out / LAMPS}: {lamps_line(command.lamps, lamps)}")
     for line in warnings(light, command.to):
         print(line)
     return 0
@@ -97,15 +94,16 @@ def read_observability(given: Path | None, light: Path) -> Float[Tensor, "height
     return image[0]
 
 
-def lamps_line(asked: int, found: int, share: float) -> str:
+def lamps_line(asked: int, lamps: Sequence[Lamp]) -> str:
     """Returns what lamps.json holds, in words."""
-    if found == 0:
+    if not lamps:
         return "no source stands out of the light around it, so there are no lamps"
-    lamps = "1 lamp" if found == 1 else f"{found} lamps"
+    share = f"{sum(lamp.share for lamp in lamps):.0%} of the light on the plane"
+    found = "1 lamp" if len(lamps) == 1 else f"{len(lamps)} lamps"
     if asked == 0:
-        return f"{lamps} found, {share:.0%} of the light on the plane, still in the pictures; --lamps {found} takes them out"
-    fewer = f" ({asked} asked for)" if found < asked else ""
-    return f"{lamps}{fewer} taken out of the pictures, {share:.0%} of the light on the plane"
+        return f"{found}, {share}, still in the pictures; --lamps {len(lamps)} takes them out"
+    fewer = f" ({asked} asked for)" if len(lamps) < asked else ""
+    return f"{found}{fewer} taken out of the pictures, {share}"
 
 
 def warnings(light: EnvironmentMap, targets: tuple[str, ...]) -> list[str]:

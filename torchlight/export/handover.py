@@ -111,6 +111,6 @@ def diameter_degrees(lamp: Lamp) -> float:
 def lamp_tuples(lamps: Sequence[Lamp]) -> str:
     """Returns lamps as Python writes them: (direction, irradiance facing it, diameter in degrees) each."""
     rows = [
-        f"    (({numbers(it.direction)}), ({numbers(it.irradiance)}), {diameter_degrees(it):.4g}),\n" for it in lamps
+        f"    (({numbers(it.direction)}), ({numbers(it.irradiance)}), {diameter_degrees(it):.7g}),\n" for it in lamps
     ]
     return "(\n" + "".join(rows) + ")" if rows else "()"

@@ -11,10 +11,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchlight.export.handover import AXES, diameter_degrees
-from torchlight.light import latlong
 from torchlight.light.directions import to_angles
 from torchlight.light.environment import EnvironmentMap, irradiance
-from torchlight.light.lamps import Lamp
+from torchlight.light.lamps import Lamp, disc_mean
 
 CONFIDENCE = "mean R_ii over the lamp's disc in observability.exr: 1 = the photograph told, 0 = the prior did"
 UNKNOWN = "null: no observability.exr was at hand (torchlight analyze makes one)"
@@ -60,16 +59,5 @@ def _described(lamp: Lamp, observability: Float[Tensor, "height width"] | None) 
         "irradiance_on_plane": list(lamp.plane_irradiance),
         "radiance": list(lamp.radiance),
         "share": lamp.share,
-        "confidence": None if observability is None else confidence(lamp, observability),
+        "confidence": None if observability is None else float(disc_mean(lamp, observability)),
     }
-
-
-def confidence(lamp: Lamp, observability: Float[Tensor, "height width"]) -> float:
-    """Returns the mean of a map over a lamp's disc, by solid angle; at the lamp's middle where it is below a pixel."""
-    height = observability.shape[-2]
-    middle = torch.tensor(lamp.direction, dtype=torch.float64)
-    inside = latlong.pixel_directions(height) @ middle >= math.cos(lamp.radius)
-    row, column = latlong.pixel_indices(middle, height)
-    inside[row, column] = True
-    weights = inside * latlong.row_solid_angles(height)[:, None]
-    return float((observability.double() * weights).sum() / weights.sum())

@@ -6,14 +6,13 @@ both directions, rows on pixel edges the mean of both sides. Interpolating it gi
 ramp of half a pixel across every edge, which is symmetric and keeps the integral.
 
 Lamps are discs far away, since Mitsuba's directional emitter has no size: radiance L over an angle a about the lamp
-brings pi L sin^2 a to a plane that faces it.
+brings pi L sin^2 a to a plane that faces it. A disc hides the map behind it, so it shines with that as well.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -23,15 +22,15 @@ from torchlight.export.handover import (
     AXES,
     Handover,
     Picture,
+    diameter_degrees,
     header,
-    lamp_tuples,
     nonnegative,
     number,
     numbers,
 )
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.formats import to_latlong
-from torchlight.light.lamps import Lamp
+from torchlight.light.lamps import Lamp, disc_mean
 
 PICTURE, TEXT, XML = "light_mitsuba.exr", "light_mitsuba.py", "light_mitsuba.xml"
 DISTANCE = 1000.0
@@ -53,7 +52,8 @@ import mitsuba as mi
 
 PICTURE = Path(__file__).resolve().with_name("{picture}")
 STRENGTH = {strength}  # multiplies picture and lamps
-# direction towards the lamp; irradiance on a plane that faces it, red, green, blue; diameter in degrees
+# direction towards the lamp; irradiance on a plane that faces it, red, green, blue; diameter in degrees;
+# radiance of the picture behind it, which the disc hides and therefore adds
 LAMPS = {lamps}
 
 
@@ -63,10 +63,10 @@ def environment():
     return {{"type": "envmap", "filename": str(PICTURE), "scale": STRENGTH, "to_world": turned}}
 
 
-def lamp(direction, irradiance, diameter, distance):
+def lamp(direction, irradiance, diameter, behind, distance):
     """Returns a disc that shines on the origin from a distance."""
     angle = radians(diameter / 2)
-    radiance = [STRENGTH * value / (pi * sin(angle) ** 2) for value in irradiance]
+    radiance = [STRENGTH * (e / (pi * sin(angle) ** 2) + b) for e, b in zip(irradiance, behind)]
     up = [0.0, 1.0, 0.0] if abs(direction[2]) > 0.9 else [0.0, 0.0, 1.0]
     place = mi.ScalarTransform4f().look_at([distance * value for value in direction], [0.0, 0.0, 0.0], up)
     size = distance * tan(angle)
@@ -112,7 +112,7 @@ def mitsuba(light: EnvironmentMap, lamps: Sequence[Lamp] = (), strength: float =
         picture=PICTURE,
         header="\n".join(about),
         strength=number(strength),
-        lamps=lamp_tuples(lamps),
+        lamps=_tuples(light, lamps),
         distance=number(DISTANCE),
     )
     shown = nonnegative(light)
@@ -124,7 +124,7 @@ def mitsuba(light: EnvironmentMap, lamps: Sequence[Lamp] = (), strength: float =
 
 
 def interpolated(light: EnvironmentMap) -> Float[Tensor, "3 rows columns"]:
-    """Returns the map of 2 H + 1 rows and 4 H columns whose interpolation in Mitsuba is the light, constant per pixel."""
+    """Returns the map of 2 H + 1 rows and 4 H columns that Mitsuba interpolates to the light, constant per pixel."""
     twice = to_latlong(light.radiance, "mitsuba").repeat_interleave(2, dim=-1).repeat_interleave(2, dim=-2)
     above = torch.cat([twice[:, :1], twice], dim=-2)
     below = torch.cat([twice, twice[:, -1:]], dim=-2)
@@ -134,24 +134,33 @@ def interpolated(light: EnvironmentMap) -> Float[Tensor, "3 rows columns"]:
 def xml(light: EnvironmentMap, lamps: Sequence[Lamp], strength: float) -> str:
     """Returns the emitters as a scene file that another includes."""
     about = header(light, lamps, AXES_HERE, "scale and radiance")
-    bright = [replace(lamp, irradiance=_scaled(lamp, strength)) for lamp in lamps]
-    shapes = [_lamp_xml(i, lamp) for i, lamp in enumerate(bright, start=1)]
+    shapes = [_lamp_xml(i, lamp, _behind(light, lamp), strength) for i, lamp in enumerate(lamps, start=1)]
     environment = ENVIRONMENT_XML.format(picture=PICTURE, strength=number(strength))
     note = "\n     ".join(['Include it: <include filename="light_mitsuba.xml"/>', *about])
     return f'<scene version="3.0.0">\n<!-- {note} -->\n{environment}{"".join(shapes)}</scene>\n'
 
 
-def _scaled(lamp: Lamp, strength: float) -> tuple[float, float, float]:
-    red, green, blue = lamp.irradiance
-    return strength * red, strength * green, strength * blue
+def _behind(light: EnvironmentMap, lamp: Lamp) -> list[float]:
+    return disc_mean(lamp, light.radiance.clamp(min=0)).tolist()
 
 
-def _lamp_xml(place: int, lamp: Lamp) -> str:
+def _tuples(light: EnvironmentMap, lamps: Sequence[Lamp]) -> str:
+    """Returns (direction, irradiance facing it, diameter in degrees, radiance behind it) of each lamp, as Python."""
+    rows = [
+        f"    (({numbers(it.direction)}), ({numbers(it.irradiance)}), {diameter_degrees(it):.7g}, "
+        f"({numbers(_behind(light, it))})),\n"
+        for it in lamps
+    ]
+    return "(\n" + "".join(rows) + ")" if rows else "()"
+
+
+def _lamp_xml(place: int, lamp: Lamp, behind: Sequence[float], strength: float) -> str:
     up = "0, 1, 0" if abs(lamp.direction[2]) > 0.9 else "0, 0, 1"
+    radiance = [strength * (own + hidden) for own, hidden in zip(lamp.radiance, behind, strict=True)]
     return LAMP_XML.format(
         number=place,
         size=number(DISTANCE * math.tan(lamp.radius)),
         origin=numbers([DISTANCE * value for value in lamp.direction]),
         up=up,
-        radiance=numbers(lamp.radiance),
+        radiance=numbers(radiance),
     )

@@ -1,8 +1,8 @@
 """For three.js: an equirectangular picture and directional lights, set up by a module.
 
-three.js has Y up; a scene of torchlight's comes to it by (x, y, z) -> (x, z, -y), and then the picture needs no change.
-For a scene that keeps Z up the environment is turned by 90 degrees about X instead. An environment map casts no shadow in
-three.js; only the lamps do. They have no size.
+three.js has Y up; a scene of torchlight's comes to it by (x, y, z) -> (x, z, -y), and then the picture needs no
+change. For a scene that keeps Z up the environment is turned by 90 degrees about X instead. An environment map casts no
+shadow in three.js; only the lamps do. They have no size.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """For USD: a stage with Z up, a DomeLight and DistantLights.
 
-A DomeLight's picture follows OpenEXR, with its pole along +Y whatever the stage says, so the dome is turned by 90 degrees
-about X. A DistantLight shines along its own -Z; with `normalize` its intensity is the irradiance on a plane that faces it.
+A DomeLight's picture follows OpenEXR, with its pole along +Y whatever the stage says, so the dome is turned by 90
+degrees about X. A DistantLight shines along its own -Z; with `normalize` its intensity is the irradiance on a plane
+that faces it.
 """
 
 from __future__ import annotations

@@ -125,6 +125,16 @@ def extract_lamps(environment: EnvironmentMap, count: int) -> tuple[tuple[Lamp, 
     return tuple(sorted(lamps, key=lambda lamp: -lamp.share)), kept
 
 
+def disc_mean(lamp: Lamp, values: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch"]:
+    """Returns the mean of a lat-long map over a lamp's disc by solid angle; its middle counts where it is tiny."""
+    height = values.shape[-2]
+    middle = torch.tensor(lamp.direction, dtype=torch.float64)
+    inside = latlong.pixel_directions(height) @ middle >= math.cos(lamp.radius)
+    inside[latlong.pixel_indices(middle, height)] = True
+    weights = inside * latlong.row_solid_angles(height)[:, None]
+    return (values.double().cpu() * weights).sum(dim=(-2, -1)) / weights.sum()
+
+
 def _upper(height: int) -> _Upper:
     rows = height // 2
     columns = 2 * height
