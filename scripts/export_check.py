@@ -93,6 +93,8 @@ def main(
     found = recovered(out) if light is None else read_light(light)
     lights = {AXES: axis_colours(128, dtype=torch.float32), RECOVERED: found}
     items = list(exported(out, lights, with_lamps=RECOVERED))
+    for item in items[:2]:
+        print(f"{item.name}: turns of 1 degree about x, y, z are measured as {figures(item)}")
     rows, versions = [], {}
     for program in TITLES:
         with said_if_absent(program):
@@ -107,6 +109,11 @@ def main(
     report(out, rows, {"versions": versions, "lookups": looked})
     if picture is not None:
         write_atomically(picture, drawn(items, rows, list(versions)))
+
+
+def figures(item: Exported) -> str:
+    """Returns what the measure itself makes of known turns, in degrees."""
+    return ", ".join(f"{value:.2f}" for value in measure.own_error(item.light, item.rendering))
 
 
 @contextmanager

@@ -6,6 +6,8 @@ Knows nothing of torchlight: the job names vertices and faces, the folder of the
 write.
 """
 
+# pyright: reportMissingImports=false
+
 import json
 import sys
 from pathlib import Path

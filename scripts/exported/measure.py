@@ -5,8 +5,9 @@ by a small vector w (degrees about x, y, z), with a gain for each channel:
 
     p_c = g_c v_c + sum over k of w_k dv_c / dw_k,      least squares over all samples that a camera above sees,
 
-where the derivatives are central differences of renderings under the light turned by one degree. |w| is how far shadows
-are turned. For a lamp alone, v is the block's analytic shadow under a uniform disc, and w has two components.
+where the derivatives are central differences of the block's analytic shadow under rays that are turned by one degree.
+|w| is how far shadows are turned. For a lamp alone, v is the analytic shadow under a uniform disc, and w has two
+components. `own_error` says what the measure makes of turns that are known.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from torchlight.geometry.analytic_shadow import block_irradiance
 from torchlight.geometry.footprints import visible_samples
 from torchlight.io.exr import read_exr
 from torchlight.light import latlong
+from torchlight.light.cubature import cubature
 from torchlight.light.environment import EnvironmentMap, irradiance, radiance_at
 from torchlight.light.lamps import Lamp
 from torchlight.relighting import relight
@@ -79,12 +81,18 @@ def brightness_error(path: Path, light: EnvironmentMap) -> float:
 
 
 def under_light(light: EnvironmentMap) -> Rendering:
-    """Returns torchlight's own rendering of the block under a light."""
+    """Returns torchlight's own rendering of the block under a light; slopes by the analytic shadow of turned rays."""
+    rays = cubature(light, count=SLOPE_RAYS)
+    directions, fluxes = rays.directions.double(), rays.fluxes.double()
 
-    def slope(axis: int) -> Float[Tensor, "3 points"]:
-        return _slope(lambda angle: relight(SCENE, turned(light, axis, angle), SLOPE_RAYS))
+    def values(axis: int, angle: float) -> Float[Tensor, "3 points"]:
+        moved = directions @ rotation(axis, angle).T
+        above = moved[:, 2] > 0
+        flows = fluxes * (moved[:, 2] / directions[:, 2])[:, None]
+        return block_irradiance(BLOCK, moved[above], flows[above], RECEIVER) / math.pi
 
-    return Rendering(relight(SCENE, light, RAYS).double(), [slope(axis) for axis in range(3)])
+    slopes = [_slope(lambda angle, axis=axis: values(axis, angle)) for axis in range(3)]
+    return Rendering(relight(SCENE, light, RAYS).double(), slopes)
 
 
 def under_lamp(lamp: Lamp, *, hard: bool = False) -> Rendering:
@@ -107,13 +115,18 @@ def under_lamp(lamp: Lamp, *, hard: bool = False) -> Rendering:
 
 def turned(light: EnvironmentMap, axis: int, angle: float) -> EnvironmentMap:
     """Returns a light turned about an axis: nearest pixels of the old map, on one of at least FINE_ROWS rows."""
+    rows = light.height * math.ceil(FINE_ROWS / light.height)
+    directions = latlong.pixel_directions(rows) @ rotation(axis, angle)  # the inverse turn of each
+    return replace(light, radiance=radiance_at(light, directions))
+
+
+def rotation(axis: int, angle: float) -> Float[Tensor, "3 3"]:
+    """Returns the matrix that turns column vectors about x, y or z, in radians."""
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
     matrix = torch.eye(3, dtype=torch.float64)
     matrix[i, i] = matrix[j, j] = math.cos(angle)
     matrix[i, j], matrix[j, i] = -math.sin(angle), math.sin(angle)
-    rows = light.height * math.ceil(FINE_ROWS / light.height)
-    directions = latlong.pixel_directions(rows) @ matrix  # the inverse turn of each
-    return replace(light, radiance=radiance_at(light, directions))
+    return matrix
 
 
 def disc(middle: Float[Tensor, "3"], radius: float) -> Float[Tensor, "points 3"]:
@@ -155,3 +168,9 @@ def agreement(picture: Float[Tensor, "3 points"], rendering: Rendering) -> Agree
 def _slope(values: Callable[[float], Tensor]) -> Float[Tensor, "3 points"]:
     """Returns the derivative of a rendering with respect to an angle, per radian."""
     return (values(STEP).double() - values(-STEP).double()) / (2 * STEP)
+
+
+def own_error(light: EnvironmentMap, rendering: Rendering, degrees: float = 1.0) -> list[float]:
+    """Returns what the measure finds, in degrees, where torchlight's own light is turned about x, y and z."""
+    pictures = (relight(SCENE, turned(light, axis, math.radians(degrees)), SLOPE_RAYS).double() for axis in range(3))
+    return [agreement(picture, rendering).degrees for picture in pictures]

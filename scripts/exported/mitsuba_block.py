@@ -5,6 +5,8 @@
 Knows nothing of torchlight: the job names vertices and faces, the module's folder, and the picture to write.
 """
 
+# pyright: reportMissingImports=false
+
 import json
 import sys
 from pathlib import Path
@@ -39,6 +41,12 @@ def camera(width, pixels, samples):
     }
 
 
+def from_xml(path):
+    """Returns everything that shines in the exported XML: the empty plane is lit by it."""
+    scene = mi.load_file(str(path))
+    return {"environment": scene.environment(), **{shape.id(): shape for shape in scene.shapes()}}
+
+
 def main(job):
     """Writes every picture of a job."""
     sys.path.insert(0, job["folder"])
@@ -47,7 +55,7 @@ def main(job):
     half = job["width"] / 2
     corners = [(-half, -half, 0.0), (half, -half, 0.0), (half, half, 0.0), (-half, half, 0.0)]
     for shot in job["shots"]:
-        shining = emitters()
+        shining = emitters() if shot["block"] else from_xml(Path(job["folder"]) / "light_mitsuba.xml")
         if not shot["picture"]:  # then there is nothing behind a lamp that it would hide
             shining = {str(i): lamp(*LAMPS[i - 1][:3], (0.0, 0.0, 0.0), 1000.0) for i in shot["lamps"]}
         scene = {

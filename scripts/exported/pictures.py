@@ -13,15 +13,17 @@ from exported.setting import RECEIVER, WIDTH
 from torchlight.figures import png_bytes, to_srgb8
 from torchlight.synthetic import receiver_image
 
+LEGEND = "seen from above, +x right, +y up; below: turn of the shadows against torchlight's, irradiance off"
+
 
 def comparison(
-    columns: Sequence[str], rows: Mapping[str, Sequence[Float[Tensor, "3 points"] | None]], captions: Mapping[str, str]
+    columns: Sequence[str], rows: Mapping[str, Sequence[Float[Tensor, "3 points"]]], captions: Mapping[str, str]
 ) -> bytes:
     """Returns a PNG: one row per light, one column per program, the first of which sets the row's exposure.
 
     Args:
         columns: names of the programs.
-        rows: planes seen from above by the light's name; None = not rendered.
+        rows: planes seen from above by the light's name.
         captions: below single pictures, by "row/column".
     """
     with mpl.rc_context({"font.size": 9}):
@@ -31,9 +33,6 @@ def comparison(
             for axis, column, values in zip(line, columns, planes, strict=True):
                 axis.set_xticks([])
                 axis.set_yticks([])
-                if values is None:
-                    axis.set_axis_off()
-                    continue
                 exposure = 0.85 / float(planes[0].max())
                 picture = to_srgb8(receiver_image(values, RECEIVER) * exposure)
                 half = WIDTH / 2
@@ -42,4 +41,5 @@ def comparison(
             line[0].set_ylabel(name)
         for axis, column in zip(axes[0], columns, strict=True):
             axis.set_title(column, fontsize=9)
+        figure.supxlabel(LEGEND, fontsize=8)
         return png_bytes(figure)

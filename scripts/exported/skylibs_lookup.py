@@ -3,6 +3,8 @@
 python skylibs_lookup.py JOB.json
 """
 
+# pyright: reportMissingImports=false
+
 import json
 import sys
 from importlib.metadata import version

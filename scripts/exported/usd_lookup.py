@@ -6,6 +6,8 @@ Directions of the stage are taken into the dome's own frame; a lat-long of OpenE
 picture: middle +Z, left quarter +X, Y up.
 """
 
+# pyright: reportMissingImports=false
+
 import json
 import math
 import sys
