@@ -49,6 +49,10 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         ("estimate", ("--device", "--overwrite", "--no-cache", "texels", "haar", "sh", "nnls", "ridge", "adam")),
         ("render", ("SCENE", "LIGHT", "--out IMAGE", "--convention", "--exposure", "--rays", "--overwrite")),
         ("evaluate", ("SCENE", "PHOTO", "LIGHT", "--fit-scale", "--convention", "--rays")),
+        (
+            "convert",
+            ("LIGHT|axes", "--out FILE", "--from", "--to", "--size", "--rotate", "--primaries", "opengl-strip"),
+        ),
         ("cache", ("list", "clear")),
         ("doctor", ("versions",)),
         ("demo", ("--out", "--probe", "--convention")),

@@ -27,8 +27,8 @@ from torchlight.export.handover import Handover, near_line
 from torchlight.export.lamps_file import lamps_content
 from torchlight.export.mitsuba import interpolated, mitsuba
 from torchlight.export.usd import frame, usd
+from torchlight.light.directions import to_y_up
 from torchlight.light.environment import EnvironmentMap, irradiance, radiance_at
-from torchlight.light.formats import to_y_up
 from torchlight.light.lamps import Lamp, extract_lamps
 from torchlight.light.procedural import axis_colours, sun_and_window
 from torchlight.light_plane import LightPlane

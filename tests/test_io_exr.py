@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from torchlight.errors import FormatError, ShapeError, TorchlightWarning
+from torchlight.errors import ConfigError, FormatError, ShapeError
 from torchlight.io import exr
 from torchlight.io.exr import REC709_D65, read_exr, write_exr
 from torchlight.io.exr_container import check_exr
@@ -93,10 +94,42 @@ def test_others_files(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_exr(tmp_path / "layer.exr")[0].numpy(), back.numpy())
 
 
-def test_other_primaries_are_pointed_out(tmp_path: Path) -> None:
-    acescg = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
-    write_raw(tmp_path / "a.exr", {"RGB": np.ones((2, 2, 3), dtype=np.float32)}, chromaticities=acescg)
-    with pytest.warns(TorchlightWarning, match=r"a\.exr: its primaries are not Rec\.709"):
+ACESCG = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+
+
+def test_other_primaries_are_converted_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """By the published matrix; grey is grey."""
+    caplog.set_level(logging.INFO, "torchlight")
+    green = np.zeros((2, 2, 3), dtype=np.float32)
+    green[..., 1] = 2
+    write_raw(tmp_path / "a.exr", {"RGB": green}, chromaticities=ACESCG)
+    expected = torch.tensor([-0.62179, 1.14080, -0.12897])[:, None, None].expand(3, 2, 2) * 2
+    assert_close(read_exr(tmp_path / "a.exr")[0], expected, atol=2e-5, rtol=0)
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{tmp_path}/a.exr: colours of acescg primaries are converted to Rec.709"
+    ]
+    write_raw(tmp_path / "grey.exr", {"Y": green[..., 1].copy()}, chromaticities=ACESCG)
+    assert_close(read_exr(tmp_path / "grey.exr")[0], torch.full((1, 2, 2), 2.0), atol=0, rtol=0)
+    assert len(caplog.records) == 1
+
+
+def test_colours_are_written_in_the_primaries_asked_for(tmp_path: Path) -> None:
+    image = torch.rand(4, 3, 2, generator=torch.Generator().manual_seed(0))
+    write_exr(tmp_path / "a.exr", image, {}, primaries="acescg")
+    with OpenEXR.File(str(tmp_path / "a.exr")) as file:
+        assert file.header()["chromaticities"] == pytest.approx(ACESCG, abs=1e-6)
+        stored = torch.from_numpy(file.channels()["RGBA"].pixels).permute(2, 0, 1)
+    assert_close(stored[0], (torch.tensor([0.613097, 0.339523, 0.047379])[:, None, None] * image[:3]).sum(0))
+    assert_close(stored[3], image[3], atol=0, rtol=0)
+    assert_close(read_exr(tmp_path / "a.exr")[0], image[:3], atol=1e-6, rtol=0)
+    with pytest.raises(ConfigError, match="choose one of rec709"):
+        write_exr(tmp_path / "b.exr", image, {}, primaries="p3")
+
+
+def test_primaries_on_one_line_are_refused(tmp_path: Path) -> None:
+    line = (0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.3127, 0.3290)
+    write_raw(tmp_path / "a.exr", {"RGB": np.ones((2, 2, 3), dtype=np.float32)}, chromaticities=line)
+    with pytest.raises(FormatError, match=r"a\.exr: primaries: red, green and blue lie on one line"):
         read_exr(tmp_path / "a.exr")
 
 

@@ -80,7 +80,8 @@ def test_crosses_and_angular_maps_are_told_apart_by_shape(tmp_path):
     write_hdr(tmp_path / "cross.hdr", cross)
     write_exr(tmp_path / "disc.exr", disc, {})
     assert_close(read_light(tmp_path / "cross.hdr").radiance, torch.ones(3, 16, 32))
-    assert_close(read_light(tmp_path / "disc.exr").radiance, torch.ones(3, 20, 40))
+    # a pixel's flux is exact; a constant as good as the balance of areas
+    assert_close(read_light(tmp_path / "disc.exr").radiance, torch.ones(3, 20, 40), atol=1e-4, rtol=0)
     with pytest.raises(ConfigError, match="no lat-long but a cube cross"):
         read_light(tmp_path / "cross.hdr", "openexr")
 

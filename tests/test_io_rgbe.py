@@ -154,3 +154,25 @@ def test_broken_files(data: bytes, message: str) -> None:
     assert str(error.value).startswith("a.hdr: ")
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_known_primaries_are_stated_and_read_back(tmp_path: Path) -> None:
+    image = torch.rand(3, 4, 8, generator=torch.Generator().manual_seed(0)) + 0.5
+    write_hdr(tmp_path / "a.hdr", image, primaries="acescg")
+    assert b"PRIMARIES= 0.713 0.293 0.165 0.83 0.128 0.044 0.32168 0.33767\n" in (tmp_path / "a.hdr").read_bytes()
+    assert_close(read_hdr(tmp_path / "a.hdr"), image, atol=2.0**-7 * 1.5 * 2, rtol=0)  # rounding, times the matrix
+    data = (tmp_path / "a.hdr").read_bytes()
+    as_stored = decode_hdr(data.replace(b"PRIMARIES= 0.713", b"PRIMARIES= 0.613"), "a.hdr")
+    assert_close(
+        as_stored[0], (torch.tensor([0.613097, 0.339523, 0.047379])[:, None, None] * image).sum(0), atol=0.01, rtol=0
+    )
+    write_hdr(tmp_path / "b.hdr", image)
+    assert b"PRIMARIES" not in (tmp_path / "b.hdr").read_bytes()
+
+
+@pytest.mark.parametrize("stated", [b"0 0 0 0 0 0 0 0", b"0.713 0.293", b"red"])
+def test_primaries_that_are_not_known_are_taken_as_rec709(tmp_path: Path, stated: bytes) -> None:
+    image = torch.ones(3, 4, 8)
+    write_hdr(tmp_path / "a.hdr", image)
+    data = (tmp_path / "a.hdr").read_bytes().replace(b"# torchlight\n", b"PRIMARIES= " + stated + b"\n")
+    assert_close(decode_hdr(data, "a.hdr"), image, atol=0, rtol=0)

@@ -10,6 +10,8 @@ from torch.testing import assert_close
 from torchlight.errors import ConfigError, FormatError, ShapeError
 from torchlight.io.rgbe import read_hdr
 from torchlight.light import cubemap, formats, latlong
+from torchlight.light.angular import angular_coordinates, angular_solid_angles
+from torchlight.light.directions import to_y_up, to_z_up
 from torchlight.light.environment import EnvironmentMap, power
 from torchlight.light.overlap import cubemap_to_latlong
 from torchlight.light.procedural import axis_colours
@@ -45,7 +47,7 @@ def _their_directions(convention: str) -> torch.Tensor:
 
 @pytest.mark.parametrize("convention", ["threejs", "openexr", "skylibs"])
 def test_conventions_agree_with_their_published_formulas(convention):
-    theirs = _smooth(formats.to_z_up(_their_directions(convention)))
+    theirs = _smooth(to_z_up(_their_directions(convention)))
     ours = _smooth(latlong.pixel_directions(HEIGHT))
     assert_close(formats.from_latlong(theirs, convention), ours, atol=1e-12, rtol=0)
     assert_close(formats.to_latlong(ours, convention), theirs, atol=1e-12, rtol=0)
@@ -81,8 +83,8 @@ def test_synonyms_are_synonyms():
 
 def test_frames():
     axes = torch.eye(3)
-    assert formats.to_z_up(axes).tolist() == [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
-    assert_close(formats.to_y_up(formats.to_z_up(axes)), axes)
+    assert to_z_up(axes).tolist() == [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    assert_close(to_y_up(to_z_up(axes)), axes)
 
 
 def test_kinds_are_told_apart_by_shape():
@@ -98,7 +100,7 @@ def test_bad_requests_are_refused():
         formats.from_latlong(torch.zeros(4, 8), "panorama")
     with pytest.raises(ShapeError, match="quarter turn"):
         formats.from_latlong(torch.zeros(3, 6), "openexr")
-    with pytest.raises(ShapeError, match="cube cross"):
+    with pytest.raises(ShapeError, match="cross: expected 3 F x 4 F"):
         formats.cross_to_cubemap(torch.zeros(8, 8))
     with pytest.raises(ShapeError, match="square"):
         formats.angular_to_latlong(torch.zeros(8, 16))
@@ -127,7 +129,7 @@ def _cross_directions(resolution: int) -> tuple[torch.Tensor, torch.Tensor]:
         block = slice(row * resolution, (row + 1) * resolution), slice(column * resolution, (column + 1) * resolution)
         directions[block] = torch.nn.functional.normalize(f + u[..., None] * r + v[..., None] * w, dim=-1)
         inside[block] = True
-    return formats.to_z_up(directions), inside
+    return to_z_up(directions), inside
 
 
 def test_a_cross_painted_from_directions_is_read_exactly():
@@ -135,7 +137,8 @@ def test_a_cross_painted_from_directions_is_read_exactly():
     image = torch.where(inside, _smooth(directions), 1e9)
     faces = formats.cross_to_cubemap(image)
     assert_close(faces.flatten(1), _smooth(cubemap.texel_directions(8)), atol=1e-12, rtol=0)
-    assert_close(formats.cross_to_latlong(image), cubemap_to_latlong(faces, 16), atol=0, rtol=0)
+    # an average by area; the two ways to it balance differently
+    assert_close(formats.cross_to_latlong(image), cubemap_to_latlong(faces, 16), atol=1e-5, rtol=0)
     assert_close(formats.cross_to_latlong(image), _smooth(latlong.pixel_directions(16)), atol=0.08, rtol=0)
 
 
@@ -182,7 +185,7 @@ def test_cross_and_angular_map_of_the_same_place_agree_and_keep_their_energy():
     faces = formats.cross_to_cubemap(stored_cross).double()
     cross_power = (faces * cubemap.solid_angles(faces.shape[-1])).sum((-3, -2, -1))
     assert_close(power(EnvironmentMap(cross)).double(), cross_power, atol=0, rtol=1e-5)
-    disc_power = (stored_disc.double() * formats.angular_solid_angles(stored_disc.shape[-1])).sum((-2, -1))
+    disc_power = (stored_disc.double() * angular_solid_angles(stored_disc.shape[-1])).sum((-2, -1))
     assert_close(power(EnvironmentMap(disc)).double(), disc_power, atol=0, rtol=1e-4)
 
     def pattern(image: torch.Tensor) -> torch.Tensor:
@@ -206,11 +209,13 @@ def test_angular_map_follows_the_published_description():
     angle = torch.tensor([0.2, 1.0, 2.0, 3.0], dtype=torch.float64)
     for turn, expected in ((0.0, (1, 0)), (math.pi / 2, (0, 1)), (2.5, (math.cos(2.5), math.sin(2.5)))):
         probe = torch.stack([angle.sin() * math.cos(turn), angle.sin() * math.sin(turn), -angle.cos()], dim=-1)
-        u, v = formats.angular_coordinates(formats.to_z_up(probe))
+        u, v = angular_coordinates(to_z_up(probe))
         assert_close(u, angle / math.pi * expected[0], atol=1e-12, rtol=0)
         assert_close(v, angle / math.pi * expected[1], atol=1e-12, rtol=0)
-    u, v = formats.angular_coordinates(torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
+    u, v = angular_coordinates(torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
     assert_close(torch.stack([u, v]), torch.zeros(2, dtype=torch.float64))
+    u, v = angular_coordinates(torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64))  # straight behind: on the rim
+    assert_close(torch.hypot(u, v).item(), 1.0)
 
 
 @pytest.mark.parametrize("size", [63, 64])
@@ -219,11 +224,12 @@ def test_an_angular_map_painted_from_directions_is_read_back(size):
     v, u = torch.meshgrid(-position, position, indexing="ij")
     angle, turn = math.pi * torch.hypot(u, v), torch.atan2(v, u)
     probe = torch.stack([angle.sin() * turn.cos(), angle.sin() * turn.sin(), -angle.cos()], dim=-1)
-    image = torch.where(angle <= math.pi, _smooth(formats.to_z_up(probe)), 1e6)
+    image = torch.where(angle <= math.pi, _smooth(to_z_up(probe)), 1e6)
     result = formats.angular_to_latlong(image)
     assert result.shape == (3, 64, 128)
-    assert_close(result, _smooth(latlong.pixel_directions(64)), atol=0.02, rtol=0)
+    # ahead, a pixel is twice as large as one of the lat-long, and constant: half of one's width times the slope
+    assert_close(result, _smooth(latlong.pixel_directions(64)), atol=0.025, rtol=0)
 
 
 def test_angular_solid_angles_fill_the_sphere():
-    assert_close(formats.angular_solid_angles(500).sum().item(), 4 * math.pi, atol=0, rtol=1e-5)
+    assert_close(angular_solid_angles(500).sum().item(), 4 * math.pi, atol=0, rtol=1e-5)

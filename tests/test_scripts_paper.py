@@ -22,8 +22,8 @@ from torchlight.inversion.quadtree import quadtree
 from torchlight.inversion.refinement import Refinement, constants
 from torchlight.light import haar
 from torchlight.light.bases import SphericalHarmonics, Texels
+from torchlight.light.directions import to_y_up
 from torchlight.light.environment import EnvironmentMap, irradiance
-from torchlight.light.formats import to_y_up
 from torchlight.light.procedural import sun_and_window
 from torchlight.light.synthesis import synthesize
 from torchlight.photo.observation import Observation

@@ -16,6 +16,20 @@ from torchlight import config as tree
 
 Convention = Literal["torchlight", "blender", "openexr", "usd", "mitsuba", "skylibs", "threejs"]
 Program = Literal["blender", "mitsuba", "openexr", "usd", "threejs", "skylibs"]
+Kind = Literal[
+    "torchlight",
+    "blender",
+    "openexr",
+    "usd",
+    "mitsuba",
+    "skylibs",
+    "threejs",
+    "cross",
+    "horizontal-cross",
+    "strip",
+    "opengl-strip",
+    "angular",
+]
 
 
 @dataclass(frozen=True)
@@ -203,6 +217,38 @@ class Export:
 
 
 @dataclass(frozen=True)
+class Convert:
+    """Write a light as another kind of picture, larger, smaller, turned, or in other primaries; its flux is kept.
+
+    The suffix of --out says which file: .exr, .hdr, .png (a picture to look at) or .json (spherical harmonics). See
+    docs/formats.md.
+    """
+
+    light: Annotated[str, tyro.conf.Positional, arg(metavar="LIGHT|axes")]
+    """EXR, HDR, or JSON of spherical harmonics; the word axes is a test map that colours every axis of the world."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """File to write."""
+    from_: Annotated[Kind | None, arg(name="from")] = None
+    """What LIGHT is. Default: what its metadata says, else its shape: 2:1 torchlight's lat-long, 3:4 cross, 6:1 strip,
+    1:1 angular."""
+    to: Kind | Literal["sh", "irradiance-sh"] | None = None
+    """What to write. Default: torchlight's lat-long; sh for .json. irradiance-sh: convolved with the cosine."""
+    size: int | None = None
+    """Height of a lat-long, edge of a cube map's face, diameter of an angular map. Default: keeps the detail."""
+    degree: int | None = None
+    """Largest degree of spherical harmonics. Default: 8."""
+    rotate: Annotated[str | None, arg(metavar="DEGREES|x:DEG,z:DEG|X,Y,Z,DEG|MATRIX")] = None
+    """Turn the light counter-clockwise: about z; about the world's axes, first one first; about an axis; by nine
+    numbers, row by row."""
+    primaries: Literal["rec709", "rec2020", "acescg", "aces2065-1"] = "rec709"
+    """Primaries of the file's colours. LIGHT's own are read from the file."""
+    exposure: float = 1.0
+    """Factor applied to the radiance."""
+    overwrite: bool = False
+    """Replace an existing file."""
+
+
+@dataclass(frozen=True)
 class Merge:
     """Merge exposure brackets of one view into a linear picture: OUT.exr, and OUT_mask.png beside it.
 
@@ -347,6 +393,7 @@ Command = (
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]
     | Annotated[Target, tyro.conf.subcommand("target")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]

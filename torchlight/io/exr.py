@@ -7,7 +7,7 @@ arrays are made contiguous here, and what was written is read back and compared 
 from __future__ import annotations
 
 import json
-import warnings
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,14 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchlight.errors import FormatError, ShapeError, TorchlightWarning
+from torchlight.errors import ConfigError, FormatError, ShapeError
 from torchlight.io.atomic import partial_file
 from torchlight.io.exr_container import check_exr
 from torchlight.io.files import one_line, read_bytes, reason
+from torchlight.light.primaries import PRIMARIES, check_primaries, convert_primaries, named
 
 METADATA_ATTRIBUTE = "torchlight"
-REC709_D65 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+REC709_D65 = PRIMARIES["rec709"]
 _CHANNELS = {1: "Y", 3: "RGB", 4: "RGBA"}
 
 
@@ -35,14 +36,16 @@ def read_exr(path: str | Path) -> tuple[Float[Tensor, "channels height width"], 
     Three channels if the file has R, G and B (bare, or within exactly one layer), otherwise its only colour channel,
     such as Y. Alpha is dropped: OpenEXR colours are premultiplied, so they already are the light that arrives.
 
+    Colours of other primaries, which the attribute `chromaticities` names, are converted to Rec.709 (see
+    `light.primaries`); the logger says so in one line.
+
     Raises:
         FormatError: missing, not OpenEXR, truncated, corrupt, or without such channels.
     """
     header, channels = _decode(path)
-    _check_primaries(header, path)
     names = _colour_channels(list(channels), path)
     image = torch.from_numpy(np.stack([channels[name].astype(np.float32) for name in names]))
-    return image, _metadata(header, path)
+    return _in_rec709(image, header, path), _metadata(header, path)
 
 
 def write_exr(
@@ -51,27 +54,34 @@ def write_exr(
     metadata: Mapping[str, Any],
     *,
     openexr_envmap: bool = False,
+    primaries: str = "rec709",
 ) -> None:
     """Writes a picture of 1 (Y), 3 (RGB) or 4 (RGBA) channels.
 
     Args:
         path: destination; it appears complete or not at all.
-        image: linear values, stored as float32.
+        image: linear values, of Rec.709 primaries, stored as float32.
         metadata: anything JSON can hold.
         openexr_envmap: marks a lat-long in OpenEXR's own convention (Y up, centre +Z), and only such a file.
+        primaries: one of `light.primaries.PRIMARIES`, which colours are converted to; the file says so.
 
     Raises:
+        ConfigError: unknown primaries.
         ShapeError: another number of channels.
         FormatError: the file cannot be written.
     """
     if image.shape[0] not in _CHANNELS:
         raise ShapeError(f"{path}: expected 1, 3 or 4 channels, got {image.shape[0]}")
+    check_primaries(primaries)
+    if image.shape[0] != 1:
+        colours = convert_primaries(image[:3].flatten(start_dim=1), REC709_D65, PRIMARIES[primaries])
+        image = torch.cat([colours.unflatten(-1, image.shape[1:]), image[3:]])
     pixels = image.detach().to(device="cpu", dtype=torch.float32).numpy()
     channels = {name: np.ascontiguousarray(plane) for name, plane in zip(_CHANNELS[len(pixels)], pixels, strict=True)}
     header: dict[str, Any] = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        "chromaticities": REC709_D65,
+        "chromaticities": PRIMARIES[primaries],
         METADATA_ATTRIBUTE: json.dumps(dict(metadata), sort_keys=True),
     }
     if openexr_envmap:
@@ -110,20 +120,27 @@ def _colour_channels(names: list[str], path: str | Path) -> list[str]:
     raise FormatError(f"{path}: expected channels R, G, B or one channel such as Y, got {found}; save it as plain RGB")
 
 
-def _check_primaries(header: dict[str, Any], path: str | Path) -> None:
-    primaries = header.get("chromaticities")
-    if primaries is None:
-        return
+def _in_rec709(
+    image: Float[Tensor, "channels height width"], header: dict[str, Any], path: str | Path
+) -> Float[Tensor, "channels height width"]:
+    """Returns a picture in Rec.709 primaries; grey is grey in all."""
+    stored = header.get("chromaticities")
+    if stored is None:
+        return image
     try:
-        usual = np.allclose(np.ravel(primaries), REC709_D65, atol=5e-3)
+        chromaticities = tuple(float(value) for value in np.ravel(stored))
+        usual = np.allclose(chromaticities, REC709_D65, atol=5e-3)
     except (TypeError, ValueError) as error:
         raise FormatError(f"{path}: its primaries are not eight numbers; write it again") from error
-    if not usual:
-        warnings.warn(
-            f"{path}: its primaries are not Rec.709/D65 and its values are used as they are; convert it first",
-            TorchlightWarning,
-            stacklevel=3,
-        )
+    if usual or len(image) == 1:
+        return image
+    try:
+        converted = convert_primaries(image.flatten(start_dim=1), chromaticities, REC709_D65)
+    except ConfigError as error:
+        raise FormatError(f"{path}: {error}") from error
+    name = named(chromaticities) or "its own"
+    logging.getLogger("torchlight").info(f"{path}: colours of {name} primaries are converted to Rec.709")
+    return converted.unflatten(-1, image.shape[1:])
 
 
 def _metadata(header: dict[str, Any], path: str | Path) -> dict[str, Any]:

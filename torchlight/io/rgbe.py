@@ -22,6 +22,7 @@ from torch import Tensor
 from torchlight.errors import FormatError
 from torchlight.io.atomic import write_atomically
 from torchlight.io.files import check_size, one_line, read_bytes
+from torchlight.light.primaries import PRIMARIES, check_primaries, convert_primaries, named
 
 _MAX_HEADER = 65_536
 _RESOLUTION = re.compile(rb"([+-])([XY])\s+(\d{1,9})\s+([+-])([XY])\s+(\d{1,9})\s*")
@@ -31,7 +32,9 @@ _MIN_RLE_WIDTH, _MAX_RLE_WIDTH = 8, 32_767
 def read_hdr(path: str | Path) -> Float[Tensor, "3 height width"]:
     """Returns linear RGB, float32, row 0 at the top.
 
-    Values are divided by the header's EXPOSURE and COLORCORR, as the format asks.
+    Values are divided by the header's EXPOSURE and COLORCORR, as the format asks. Colours of primaries that
+    `light.primaries` knows are converted to Rec.709; all others, Radiance's own among them, are taken as Rec.709, as
+    other programs do.
 
     Raises:
         FormatError: missing, not a Radiance RGBE picture, truncated or corrupt.
@@ -56,7 +59,7 @@ def decode_hdr(data: bytes, name: str) -> Float[Tensor, "3 height width"]:
     exposure = _exposure(variables, name)
     if exposure != (1.0, 1.0, 1.0):
         image /= np.asarray(exposure, dtype=np.float32)
-    return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
+    return _in_rec709(torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))), variables)
 
 
 def hdr_size(data: bytes, name: str) -> tuple[int, int]:
@@ -65,17 +68,28 @@ def hdr_size(data: bytes, name: str) -> tuple[int, int]:
     return (inner, outer) if axis == "Y" else (outer, inner)
 
 
-def write_hdr(path: str | Path, image: Float[Tensor, "3 height width"]) -> None:
+def write_hdr(path: str | Path, image: Float[Tensor, "3 height width"], *, primaries: str = "rec709") -> None:
     """Writes linear RGB as a Radiance picture; negative values, which the format cannot hold, become 0.
 
+    Args:
+        path: destination.
+        image: linear values, of Rec.709 primaries.
+        primaries: one of `light.primaries.PRIMARIES`, which colours are converted to; other than Rec.709 are named in
+            the header.
+
     Raises:
+        ConfigError: unknown primaries.
         FormatError: NaN, infinite or too large values (2^127 and more), or the file cannot be written.
     """
-    values = image.detach().to(device="cpu", dtype=torch.float64).clamp_min(0).numpy().transpose(1, 2, 0)
+    check_primaries(primaries)
+    linear = image.detach().to(device="cpu", dtype=torch.float64)
+    linear = convert_primaries(linear.flatten(start_dim=1), PRIMARIES["rec709"], PRIMARIES[primaries])
+    values = linear.unflatten(-1, image.shape[1:]).clamp_min(0).numpy().transpose(1, 2, 0)
     if not np.isfinite(values).all() or values.max(initial=0.0) >= 2.0**127:
         raise FormatError(f"{path}: NaN, infinite or larger than 1.7e38: a .hdr file cannot hold such values")
     height, width = values.shape[:2]
-    header = f"#?RADIANCE\n# torchlight\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
+    stated = "" if primaries == "rec709" else f"PRIMARIES= {' '.join(map(str, PRIMARIES[primaries]))}\n"
+    header = f"#?RADIANCE\n# torchlight\n{stated}FORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
     write_atomically(path, header.encode() + _pack(_mantissas(values)))
 
 
@@ -101,6 +115,20 @@ def _header(data: bytes, name: str) -> tuple[dict[str, list[str]], tuple[tuple[s
     axes = ((sign_1, axis_1, int(size_1)), (sign_2, axis_2, int(size_2)))
     check_size(axes[0][2], axes[1][2], len(data), name)
     return variables, axes, stop + 1
+
+
+def _in_rec709(image: Float[Tensor, "3 height width"], variables: dict[str, list[str]]) -> Tensor:
+    """Returns a picture in Rec.709, if its header names primaries that are known."""
+    try:
+        stored = [float(value) for value in variables.get("PRIMARIES", [""])[-1].split()]
+        name = named(stored)
+    except ValueError:
+        name = None
+    if name is None or name == "rec709":
+        return image
+    return convert_primaries(image.flatten(start_dim=1), PRIMARIES[name], PRIMARIES["rec709"]).unflatten(
+        -1, image.shape[1:]
+    )
 
 
 def _exposure(variables: dict[str, list[str]], name: str) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""Directions as unit vectors and as angles: theta from +Z, phi = atan2(y, x)."""
+"""Directions as unit vectors and as angles: theta from +Z, phi = atan2(y, x); and the frames of others, with Y up."""
 
 from __future__ import annotations
 
@@ -25,3 +25,15 @@ def to_angles(directions: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*ba
     """
     x, y, z = directions.unbind(dim=-1)
     return torch.atan2(torch.hypot(x, y), z), torch.atan2(y, x)
+
+
+def to_z_up(directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Returns Y-up directions in torchlight's world: (x, y, z) -> (x, -z, y)."""
+    x, y, z = directions.unbind(dim=-1)
+    return torch.stack([x, -z, y], dim=-1)
+
+
+def to_y_up(directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Returns torchlight's directions in a Y-up world: (x, y, z) -> (x, z, -y)."""
+    x, y, z = directions.unbind(dim=-1)
+    return torch.stack([x, z, -y], dim=-1)

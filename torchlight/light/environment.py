@@ -40,18 +40,23 @@ class EnvironmentMap:
                 f"got {list(shape)} of {self.radiance.dtype}"
             )
         latlong.check_latlong(shape[-2], shape[-1])
-        if not bool(torch.isfinite(self.radiance).all()):
-            raise ConfigError("environment map: NaN or infinite radiance; repair these pixels before loading the map")
-        if self.nonnegative and bool((self.radiance < 0).any()):
-            raise ConfigError(
-                f"environment map: radiance down to {self.radiance.min().item():.3g} in a map declared non-negative; "
-                "clamp it, or pass nonnegative=False"
-            )
+        check_radiance(self.radiance, self.nonnegative)
 
     @property
     def height(self) -> int:
         """Number of rows; half the number of columns."""
         return self.radiance.shape[-2]
+
+
+def check_radiance(radiance: Float[Tensor, "*values"], nonnegative: bool) -> None:
+    """Raises ConfigError for NaN, infinite, or, where declared non-negative, negative radiance."""
+    if not bool(torch.isfinite(radiance).all()):
+        raise ConfigError("environment map: NaN or infinite radiance; repair these pixels before loading the map")
+    if nonnegative and bool((radiance < 0).any()):
+        raise ConfigError(
+            f"environment map: radiance down to {radiance.min().item():.3g} in a map declared non-negative; "
+            "clamp it, or pass nonnegative=False"
+        )
 
 
 def radiance_at(environment: EnvironmentMap, directions: Float[Tensor, "*points 3"]) -> Float[Tensor, "*maps *points"]:

@@ -8,9 +8,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchlight.light import latlong
+from torchlight.light import cubemap, latlong
 from torchlight.light.directions import from_angles
 from torchlight.light.environment import EnvironmentMap
+from torchlight.light.grids import CubeGrid
+from torchlight.light.sampled import SampledLight
 
 SUN_AZIMUTH, SUN_ELEVATION, SUN_RADIUS = math.radians(35), math.radians(50), math.radians(2.5)
 SUN_RADIANCE = (480.0, 420.0, 320.0)
@@ -55,12 +57,24 @@ def axis_colours(
     """Returns a map that tells all axes apart: within 45 degrees of +X red, -X cyan, +Y green, -Y magenta,
     +Z blue, -Z yellow; brighter towards (1, 2, 3), which no turn or mirror image preserves.
     """
-    directions = latlong.pixel_directions(height)
-    colours = torch.tensor([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0]], dtype=torch.float64)
+    return EnvironmentMap(axis_radiance(latlong.pixel_directions(height)).to(dtype=dtype, device=device))
+
+
+def axis_faces(
+    resolution: int = 64, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+) -> SampledLight:
+    """Returns `axis_colours` on a cube map, where colours change exactly at the edges of the faces."""
+    radiance = axis_radiance(cubemap.texel_directions(resolution)).to(dtype=dtype, device=device)
+    return SampledLight(radiance, CubeGrid(resolution))
+
+
+def axis_radiance(directions: Float[Tensor, "*points 3"]) -> Float[Tensor, "3 *points"]:
+    """Returns the radiance of `axis_colours` from unit vectors."""
+    rows = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0]]
+    colours = torch.tensor(rows, dtype=directions.dtype, device=directions.device)
     axis = torch.cat([directions, -directions], dim=-1).argmax(dim=-1)
-    brightness = 1 + 0.2 * directions @ torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
-    radiance = (colours[axis] * brightness[..., None]).permute(2, 0, 1)
-    return EnvironmentMap(radiance.to(dtype=dtype, device=device))
+    brightness = 1 + 0.2 * directions @ torch.tensor([1, 2, 3], dtype=directions.dtype, device=directions.device)
+    return (colours[axis] * brightness[..., None]).movedim(-1, 0)
 
 
 def _mix(
