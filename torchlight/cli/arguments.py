@@ -16,6 +16,7 @@ from torchlight import config as tree
 
 Settings = Annotated[tree.Config, tyro.conf.FlagConversionOff, arg(name="")]  # switches take a value: cli.spelling
 Convention = Literal["torchlight", "blender", "openexr", "usd", "mitsuba", "skylibs", "threejs"]
+Program = Literal["blender", "mitsuba", "openexr", "usd", "threejs", "skylibs"]
 Kind = Literal[
     "torchlight",
     "blender",
@@ -283,6 +284,33 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Export:
+    """Hand a light to other programs: pictures in their axes, and the scripts or scene files that load them.
+
+    Writes one folder, OUT/lamps.json in it: direction, size, colour and irradiance of the strongest lights. See
+    docs/export.md.
+    """
+
+    light: Annotated[Path, tyro.conf.Positional, arg(metavar="LIGHT")]
+    """EXR or HDR, or the folder of an estimate."""
+    to: Annotated[tuple[Program, ...], arg(metavar="PROGRAM [PROGRAM ...]")]
+    """blender, mitsuba, openexr, usd, threejs, skylibs: one or several."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder that receives the files."""
+    lamps: Annotated[int, arg(metavar="K")] = 0
+    """Take the K strongest lights out of the pictures and hand them over as lamps. lamps.json lists some anyway."""
+    strength: float = 1.0
+    """Factor that the scripts and scene files apply to all light; pictures keep their values."""
+    convention: Convention | None = None
+    """Axes of a lat-long LIGHT; default: what its metadata says, else torchlight's."""
+    observability: Annotated[Path | None, arg(metavar="FILE|DIR")] = None
+    """observability.exr of torchlight analyze, or its folder: how sure the photograph is of each lamp. Default: the one
+    beside LIGHT, if there."""
+    overwrite: bool = False
+    """Replace an existing export."""
+
+
+@dataclass(frozen=True)
 class Convert:
     """Write a light as another kind of picture, larger, smaller, turned, or in other primaries; its flux is kept.
 
@@ -535,6 +563,7 @@ Command = (
     | Annotated[Insert, tyro.conf.subcommand("insert")]
     | Annotated[Relight, tyro.conf.subcommand("relight")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]
