@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -57,9 +58,10 @@ class DeviceContours:
 
 def on_device(shape: GridContours, device: torch.device | str) -> DeviceContours:
     """Returns the edges on a device."""
-    count = len(shape.ends)
-    table = torch.from_numpy(shape.table[:14, :count]).to(device)
-    return DeviceContours(shape.grid, table[:6].unflatten(0, (2, 3)), table[6:12].unflatten(0, (2, 3)), table[12:])
+    count = len(shape.contours.ends)
+    ends = torch.from_numpy(np.ascontiguousarray(shape.ends[:count, :6].T)).to(device)
+    fields = torch.from_numpy(shape.fields[:, :count]).to(device)
+    return DeviceContours(shape.grid, ends.unflatten(0, (2, 3)), fields[4:10].unflatten(0, (2, 3)), fields[10:])
 
 
 def visible_integrals(shape: DeviceContours, rectangles: Rectangles) -> Float[Tensor, "squares points"]:

@@ -14,7 +14,7 @@ from types import ModuleType
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from torchlight.errors import TorchlightWarning
@@ -23,7 +23,6 @@ from torchlight.geometry.contours import CLUSTER, Contours
 from torchlight.geometry.receiver import Receiver
 
 UNIT = 2.0**56  # integer weights of a square add up to this
-FIELDS = 15  # of an edge in the kernel's tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,23 +91,23 @@ def receiver_grid(receiver: Receiver, lines: int) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class GridContours:
-    """The contours on a receiver's grid, as the kernel reads them.
+    """The contours on a receiver's grid, as the kernels read them.
 
     Attributes:
         contours: the edges, in the scene's unit.
         grid: the receiver's coordinates.
-        table: a column per edge: two ends, two normals (an open edge has its one twice), two sides, room for n_e.
-        ends: of every edge once more, each edge's numbers side by side.
-        normals: of the first and the second face, a table per cluster of edges; 0 beyond the last edge.
-        sides: a bit per edge of a cluster: first face along the edge, second along it, no second face, no edge.
+        ends: a row per edge: x, y, z of both ends and two zeros.
+        fields: a column per edge: y and z of both ends, two normals (an open edge has its one twice), two sides.
+        clusters: the fields of each cluster of edges and x of both ends; 0 beyond the last edge.
+        axes: of the clusters: x, y, z, and the sine and cosine of their spread; 2 and 0 where it may be any.
     """
 
     contours: Contours
     grid: Grid
-    table: Float[np.ndarray, "fields room"]
-    ends: Float[np.ndarray, "edges 2 3"]
-    normals: Float[np.ndarray, "clusters 6 cluster"]
-    sides: Int[np.ndarray, "clusters 4"]
+    ends: Float[np.ndarray, "room 8"]
+    fields: Float[np.ndarray, "12 room"]
+    clusters: Float[np.ndarray, "clusters 14 cluster"]
+    axes: Float[np.ndarray, "5 clusters"]
 
 
 def on_grid(contours: Contours, receiver: Receiver, lines: int) -> GridContours:
@@ -122,22 +121,23 @@ def on_grid(contours: Contours, receiver: Receiver, lines: int) -> GridContours:
     grid, count = receiver_grid(receiver, lines), len(contours.ends)
     normals = grid.normals(contours.normals)
     normals[:, 1] = np.where(contours.sides[:, 1:] == 0, normals[:, 0], normals[:, 1])
-    table = np.zeros((FIELDS, count // 512 * 512 + 552))  # rows fall into different sets of the processor's cache
-    ends = grid.places(contours.ends)
-    table[:6, :count] = ends.reshape(count, 6).T
-    table[6:12, :count] = normals.reshape(count, 6).T
-    table[12:14, :count] = contours.sides.T
+    room = count // 512 * 512 + 552  # rows fall into different sets of the processor's cache
+    ends, fields = np.zeros((room, 8)), np.zeros((12, room))
+    ends[:count, :6] = grid.places(contours.ends).reshape(count, 6)
+    fields[:4] = ends.T[[1, 2, 4, 5]]
+    fields[4:10, :count] = normals.reshape(count, 6).T
+    fields[10:, :count] = contours.sides.T
     full = len(contours.axes) * CLUSTER
-    clusters = table[6:12, :full].reshape(6, -1, CLUSTER).transpose(1, 0, 2)
-    sides = side_bits(table[12:14, :full].reshape(2, -1, CLUSTER))
-    return GridContours(contours, grid, table, ends, np.ascontiguousarray(clusters), sides)
+    clusters = np.concatenate([fields[:, :full], ends[:full].T[[0, 3]]]).reshape(14, -1, CLUSTER).transpose(1, 0, 2)
+    return GridContours(contours, grid, ends, fields, np.ascontiguousarray(clusters), cluster_axes(contours))
 
 
-def side_bits(sides: Float[np.ndarray, "2 clusters cluster"]) -> Int[np.ndarray, "clusters 4"]:
-    """Returns a bit per edge: first face along the edge, second along it, no second face, no edge."""
-    first, second = sides
-    flags = np.stack([first > 0, second > 0, second == 0, first == 0], axis=1)
-    return (flags.astype(np.int64) << np.arange(CLUSTER)).sum(axis=2)
+def cluster_axes(contours: Contours) -> Float[np.ndarray, "5 clusters"]:
+    """Returns the axes of clusters with sine and cosine of their spread; 2 and 0 from a right angle on."""
+    narrow = contours.spread < np.pi / 2
+    sine = np.where(narrow, np.sin(contours.spread), 2.0)
+    cosine = np.where(narrow, np.cos(contours.spread), 0.0)
+    return np.vstack([contours.axes.T, sine, cosine])
 
 
 def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tensor, "squares points"]:
@@ -145,7 +145,7 @@ def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tens
     contours, grid = shape.contours, shape.grid
     slopes, shifts = grid.slopes(rectangles.directions.numpy()), rectangles.shifts.numpy()
     scales = rectangles.weights.sum(dim=(1, 2))
-    kernel = compiled_kernel()
+    kernel = compiled_kernel("contour_kernel")
     if kernel is None:
         size = (grid.rows, grid.columns, grid.lines)
         faces, weights = grid.places(contours.faces), rectangles.weights.numpy()
@@ -155,7 +155,8 @@ def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tens
         contours.first,
         contours.axes,
         contours.spread,
-        shape.table,
+        shape.fields,
+        shape.ends,
         cones(rectangles).numpy(),
         grid.directions(torch.stack([rectangles.center, rectangles.right, rectangles.up], dim=1).numpy()),
         slopes,
@@ -169,10 +170,10 @@ def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tens
     return torch.from_numpy(result)
 
 
-def compiled_kernel() -> ModuleType | None:
-    """Returns the compiled kernel, or None with a warning where numba has no wheel: the twin is the stated fallback."""
+def compiled_kernel(name: str) -> ModuleType | None:
+    """Returns a compiled kernel, or None with a warning where numba has no wheel: the twin is the stated fallback."""
     try:
-        return import_module("torchlight.geometry.contour_kernel")
+        return import_module(f"torchlight.geometry.{name}")
     except ImportError:
         message = "numba is not installed: shadows are found by the slow twin of the compiled kernel"
         warnings.warn(message, TorchlightWarning, stacklevel=3)

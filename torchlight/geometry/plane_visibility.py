@@ -13,10 +13,9 @@ from torchlight.geometry import contour_twin
 from torchlight.geometry.contours import morton
 from torchlight.geometry.crossings import GridContours
 from torchlight.geometry.crossings import compiled_kernel as kernel_or_none
-from torchlight.threads import ordered_map
+from torchlight.threads import ordered_map, thread_count
 
 BUNDLE = 32  # neighbouring directions that look through the clusters of edges together
-SLACK = 1e-9
 QUICK = 2**22  # samples and edges looked at: about a millisecond, less than other threads take to start
 
 
@@ -29,8 +28,9 @@ def hidden_samples(shape: GridContours, directions: Float[Tensor, "directions 3"
         shape: the contours on the receiver's grid, with one line per row of samples.
         directions: towards the light, of any length.
     """
-    towards = torch.nn.functional.normalize(directions.detach().double().cpu(), dim=-1).numpy()
-    grid, kernel = shape.grid, kernel_or_none()
+    towards = directions.detach().double().cpu().numpy()
+    towards = towards / np.maximum(np.sqrt(np.einsum("di,di->d", towards, towards)), 1e-300)[:, None]
+    grid, kernel = shape.grid, kernel_or_none("contour_marks")
     result = np.zeros((len(towards), grid.rows * grid.columns), dtype=bool)
     result[towards[:, 2] <= 0] = True
     upward = np.flatnonzero(towards[:, 2] > 0)
@@ -38,8 +38,15 @@ def hidden_samples(shape: GridContours, directions: Float[Tensor, "directions 3"
         faces, slopes = grid.places(shape.contours.faces), grid.slopes(towards[upward])
         result[upward] = contour_twin.hidden_samples(faces, slopes, grid.rows, grid.columns)
     else:
-        mark(kernel, shape, towards, upward[np.argsort(morton(towards[upward]), kind="stable")], result)
+        mark(kernel, shape, towards, neighbours_together(towards, upward, shape.axes.shape[1]), result)
     return torch.from_numpy(result)
+
+
+def neighbours_together(
+    directions: Float[np.ndarray, "directions 3"], upward: Int[np.ndarray, " upward"], clusters: int
+) -> Int[np.ndarray, " upward"]:
+    """Returns the same numbers of directions in an order that lets a bundle skip clusters, where it pays."""
+    return upward[np.argsort(morton(directions[upward]), kind="stable")] if clusters > BUNDLE else upward
 
 
 def mark(
@@ -49,38 +56,15 @@ def mark(
     order: Int[np.ndarray, " upward"],
     result: Bool[np.ndarray, "directions points"],
 ) -> None:
-    """Marks what is hidden from directions taken in an order that keeps neighbours together, a bundle per thread."""
-    contours, grid = shape.contours, shape.grid
+    """Marks what is hidden from directions taken in an order that keeps neighbours together, a bundle at a time."""
+    grid, ordered = shape.grid, directions[order]
+    slopes, columns = grid.slopes(ordered), np.ascontiguousarray(ordered.T)
 
-    def fill(begin: int, count: int = BUNDLE) -> None:
-        numbers = order[begin : begin + count]
-        bundle = directions[numbers]
-        kernel.hidden_samples(
-            contours.axes,
-            contours.spread,
-            shape.normals,
-            shape.sides,
-            shape.ends,
-            cone_about(bundle),
-            bundle,
-            grid.slopes(bundle),
-            numbers,
-            grid.columns,
-            result,
-        )
+    def fill(begin: int) -> None:
+        part = slice(begin, begin + BUNDLE)
+        bundle = np.ascontiguousarray(columns[:, part])
+        kernel.hidden_samples(shape.axes, shape.clusters, bundle, slopes[part], order[part], grid.columns, result)
 
-    if len(order) == 0:
-        return
     work = len(order) * (grid.rows * grid.columns + len(shape.ends))
-    if work < QUICK:
-        fill(0, len(order))
-        return
-    for _ in ordered_map(fill, range(0, len(order), BUNDLE)):
+    for _ in ordered_map(fill, range(0, len(order), BUNDLE), 1 if work < QUICK else thread_count()):
         pass
-
-
-def cone_about(directions: Float[np.ndarray, "directions 3"]) -> Float[np.ndarray, " 4"]:
-    """Returns the axis and the half angle of a cone that holds upward unit directions."""
-    axis = directions.sum(axis=0)
-    axis /= np.linalg.norm(axis)
-    return np.r_[axis, np.arccos(np.clip((directions @ axis).min(), -1.0, 1.0)) + SLACK]
