@@ -48,7 +48,7 @@ def main() -> None:
 
 def photograph(address: str, seconds: float) -> bytes:
     """Returns a page as PNG, after some seconds of real time."""
-    from websockets.sync.client import connect
+    from websockets.sync.client import connect  # pyright: ignore[reportMissingImports]
 
     with tempfile.TemporaryDirectory() as folder:
         size = f"--window-size={SIZE[0]},{SIZE[1]}"

@@ -51,7 +51,7 @@ def compared(*arguments: object) -> dict:
 def test_json_holds_what_the_library_finds(lights: tuple[Path, Path]) -> None:
     found = compared(*lights)
     assert (found["rows"], found["grid_rows"], found["over"]) == ([16, 32], 16, "upper")
-    pair = paired(*map(read_light, lights))
+    pair = paired(read_light(lights[0]), read_light(lights[1]))
     x, y = (each.radiance.flatten(start_dim=1) for each in (pair.light, pair.reference))
     assert_close(found["radiance"]["rmse"], rmse(x, y, pair.weights).item())
     # the sun is wider than its shift is not: 20 degrees of azimuth at 50 degrees of elevation are 12.8 degrees
@@ -89,7 +89,7 @@ def test_a_scene_splits_the_error(lights: tuple[Path, Path], tmp_path: Path, mon
     parts = [found[f"{name}_rms"] for name in ("determined", "null", "finer")]
     assert np.hypot.reduce(parts) == pytest.approx(found["rms"], rel=1e-9)
     assert 1 < found["determined_directions"] < found["directions"] == 48
-    pair = paired(*map(read_light, lights))
+    pair = paired(read_light(lights[0]), read_light(lights[1]))
     relit, wanted = (relight(load_scene(scene), each, 4096) for each in (pair.light, pair.reference))
     used = (wanted.amax(dim=0) > 0).to(relit)  # all but what the block stands on
     assert found["relit_rms_255"] == pytest.approx(metrics.rms_255(relit, wanted, used).item(), rel=0.1)

@@ -27,7 +27,7 @@ from torchlight.light_metrics.protocol import (
 from torchlight.light_metrics.spheres import SphereView, picture, sphere_view
 
 VIEW = sphere_view(9, (0.0, -16.0, 2.0))
-CLOSE = {"rel": 1e-9}
+CLOSE = 1e-9
 
 
 def spheres(view: SphereView = VIEW) -> tuple[torch.Tensor, torch.Tensor]:
@@ -56,10 +56,10 @@ def test_published_scores_written_out() -> None:
     on = pred[..., 3] > 0
     count = on.sum()
     p, g = pred[on][:, :3], gt[on][:, :3]
-    assert float(score.rmse) == pytest.approx(math.sqrt(((p - g) ** 2).sum() / count), **CLOSE)
+    assert float(score.rmse) == pytest.approx(math.sqrt(((p - g) ** 2).sum() / count), rel=CLOSE)
     a, b, c = (p**2).sum(), -2 * (p * g).sum(), (g**2).sum()
-    assert float(score.si_rmse) == pytest.approx(math.sqrt((4 * a * c - b * b) / (4 * a) / count), **CLOSE)
-    assert float(score.scale) == pytest.approx(-b / (2 * a), **CLOSE)
+    assert float(score.si_rmse) == pytest.approx(math.sqrt((4 * a * c - b * b) / (4 * a) / count), rel=CLOSE)
+    assert float(score.scale) == pytest.approx(-b / (2 * a), rel=CLOSE)
     total = 0.0
     for one, other in zip(p, g, strict=True):
         if one.any() and other.any():
@@ -67,16 +67,16 @@ def test_published_scores_written_out() -> None:
     assert float(score.angle) == pytest.approx(total / count, rel=1e-6)  # of acos
     low, high = ([np.percentile(i[..., :3], q) for i in (pred, gt)] for q in (0.01, 99.9))
     n = [(i[on][:, :3] - lo) / (hi - lo) for i, lo, hi in zip((pred, gt), low, high, strict=True)]
-    assert float(score.norm_rmse) == pytest.approx(math.sqrt(((n[0] - n[1]) ** 2).sum() / count), **CLOSE)
+    assert float(score.norm_rmse) == pytest.approx(math.sqrt(((n[0] - n[1]) ** 2).sum() / count), rel=CLOSE)
 
 
 def test_plain_scores_written_out() -> None:
     x, y = spheres()
     score = sphere_score(x, y, Protocol(), VIEW)
     p, g = x.numpy().T, y.numpy().T
-    assert float(score.rmse) == pytest.approx(math.sqrt(np.mean((p - g) ** 2)), **CLOSE)
+    assert float(score.rmse) == pytest.approx(math.sqrt(np.mean((p - g) ** 2)), rel=CLOSE)
     scale = (p * g).sum() / (p * p).sum()
-    assert float(score.si_rmse) == pytest.approx(math.sqrt(np.mean((scale * p - g) ** 2)), **CLOSE)
+    assert float(score.si_rmse) == pytest.approx(math.sqrt(np.mean((scale * p - g) ** 2)), rel=CLOSE)
     both = p.any(axis=1) & g.any(axis=1)
     assert both.sum() == len(p) - 2
     cosines = (p * g).sum(axis=1)[both] / np.linalg.norm(p[both], axis=1) / np.linalg.norm(g[both], axis=1)
@@ -89,11 +89,11 @@ def test_whole_pictures_count_their_background() -> None:
     score = sphere_score(x, y, Protocol(pixels="image", frame=frame, black="zero"), VIEW)
     pred, gt = whole(x, 30, 18)[..., :3], whole(y, 30, 18)[..., :3]
     assert background_pixels(VIEW, frame) == pytest.approx(30 * 18 - len(VIEW.normals))
-    assert float(score.rmse) == pytest.approx(math.sqrt(np.mean((pred - gt) ** 2)), **CLOSE)
+    assert float(score.rmse) == pytest.approx(math.sqrt(np.mean((pred - gt) ** 2)), rel=CLOSE)
     normed = [(i - np.percentile(i, 0.01)) / (np.percentile(i, 99.9) - np.percentile(i, 0.01)) for i in (pred, gt)]
-    assert float(score.norm_rmse) == pytest.approx(math.sqrt(np.mean((normed[0] - normed[1]) ** 2)), **CLOSE)
+    assert float(score.norm_rmse) == pytest.approx(math.sqrt(np.mean((normed[0] - normed[1]) ** 2)), rel=CLOSE)
     sphere = sphere_score(x, y, Protocol(black="zero"), VIEW)
-    assert float(score.angle) == pytest.approx(float(sphere.angle) * len(VIEW.normals) / (30 * 18), **CLOSE)
+    assert float(score.angle) == pytest.approx(float(sphere.angle) * len(VIEW.normals) / (30 * 18), rel=CLOSE)
 
 
 def test_per_pixel_is_larger_by_the_root_of_3() -> None:
@@ -107,7 +107,7 @@ def test_clipped_to_ldr() -> None:
     x, y = spheres()
     score = sphere_score(x, y, Protocol(clip=0.5), VIEW)
     clipped = np.minimum(x.numpy(), 0.5) - np.minimum(y.numpy(), 0.5)
-    assert float(score.rmse) == pytest.approx(math.sqrt(np.mean(clipped**2)), **CLOSE)
+    assert float(score.rmse) == pytest.approx(math.sqrt(np.mean(clipped**2)), rel=CLOSE)
 
 
 def test_the_tone_curve_written_out() -> None:
@@ -122,7 +122,7 @@ def test_the_tone_curve_written_out() -> None:
     for item in range(2):
         power = radiance[item].numpy() ** (1 / 2.4)
         expected = power * 0.5 / np.percentile(power[power > 0], 50)
-        assert found[item].numpy() == pytest.approx(expected, **CLOSE)
+        assert found[item].numpy() == pytest.approx(expected, rel=CLOSE)
     assert float(toned(torch.zeros(3, 4, 8, dtype=torch.float64), Tone()).abs().max()) == 0
 
 
@@ -134,7 +134,7 @@ def test_equal_lights_have_no_error_and_a_brighter_one_only_its_scale() -> None:
         same = sphere_test(light, light, protocol).scores[name]
         assert float(same.rmse) == pytest.approx(0, abs=1e-12)
         score = sphere_test(brighter, light, protocol).scores[name]
-        assert float(score.scale) == pytest.approx(0.25, **CLOSE)
+        assert float(score.scale) == pytest.approx(0.25, rel=CLOSE)
         assert (float(score.si_rmse), float(score.norm_rmse)) == pytest.approx((0, 0), abs=1e-9)
         assert float(score.rmse) > 0.1
     styled = sphere_test(brighter, light, replace(PROTOCOLS["stylelight"], size=8, map_height=16))

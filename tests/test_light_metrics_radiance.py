@@ -20,7 +20,7 @@ from torchlight.light_metrics.radiance import (
     scale_invariant_rmse,
 )
 
-CLOSE = {"rel": 1e-9}
+CLOSE = 1e-9
 
 
 def lights(*batch: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -41,11 +41,11 @@ def loop_rmse(x: np.ndarray, y: np.ndarray, w: np.ndarray) -> float:
 def test_equal_to_plain_loops() -> None:
     tensors = lights()
     x, y, w = (t.numpy() for t in tensors)
-    assert float(rmse(*tensors)) == pytest.approx(loop_rmse(x, y, w), **CLOSE)
-    assert float(relative_rmse(*tensors)) == pytest.approx(loop_rmse(x, y, w) / loop_rmse(y, 0 * y, w), **CLOSE)
+    assert float(rmse(*tensors)) == pytest.approx(loop_rmse(x, y, w), rel=CLOSE)
+    assert float(relative_rmse(*tensors)) == pytest.approx(loop_rmse(x, y, w) / loop_rmse(y, 0 * y, w), rel=CLOSE)
     mean = sum(w[p] * y[c, p] for c in range(3) for p in range(30)) / (3 * w.sum())
     logs = [np.array([[math.log2(v + 1e-3 * mean) for v in row] for row in image]) for image in (x, y)]
-    assert float(log_rmse(*tensors)) == pytest.approx(loop_rmse(*logs, w), **CLOSE)
+    assert float(log_rmse(*tensors)) == pytest.approx(loop_rmse(logs[0], logs[1], w), rel=CLOSE)
     angles = [
         math.degrees(math.acos(x[:, p] @ y[:, p] / math.hypot(*x[:, p]) / math.hypot(*y[:, p]))) for p in range(30)
     ]
@@ -58,19 +58,19 @@ def test_scales_are_those_of_least_squares() -> None:
     root = np.sqrt(w)
     (scale,), *_ = np.linalg.lstsq((x * root).reshape(-1, 1), (y * root).reshape(-1), rcond=None)
     found = scale_invariant_rmse(*tensors)
-    assert float(found.scale) == pytest.approx(float(scale), **CLOSE)
-    assert float(found.rmse) == pytest.approx(loop_rmse(scale * x, y, w), **CLOSE)
+    assert float(found.scale) == pytest.approx(float(scale), rel=CLOSE)
+    assert float(found.rmse) == pytest.approx(loop_rmse(scale * x, y, w), rel=CLOSE)
     scales = [np.linalg.lstsq((x[c] * root)[:, None], y[c] * root, rcond=None)[0][0] for c in range(3)]
     found = channel_scale_invariant_rmse(*tensors)
-    assert found.scale.tolist() == pytest.approx(scales, **CLOSE)
-    assert float(found.rmse) == pytest.approx(loop_rmse(np.array(scales)[:, None] * x, y, w), **CLOSE)
+    assert found.scale.tolist() == pytest.approx(scales, rel=CLOSE)
+    assert float(found.rmse) == pytest.approx(loop_rmse(np.array(scales)[:, None] * x, y, w), rel=CLOSE)
 
 
 def test_closed_forms() -> None:
     """A light 0.5 too bright everywhere; one twice too bright; one with channels of its own scale; black."""
     _, y, w = lights()
-    assert float(rmse(y + 0.5, y, w)) == pytest.approx(0.5, **CLOSE)
-    assert float(relative_rmse(2 * y, y, w)) == pytest.approx(1, **CLOSE)
+    assert float(rmse(y + 0.5, y, w)) == pytest.approx(0.5, rel=CLOSE)
+    assert float(relative_rmse(2 * y, y, w)) == pytest.approx(1, rel=CLOSE)
     assert float(log_rmse(2 * y + 1e9, y + 5e8, w, 1e-15)) == pytest.approx(1, rel=1e-6)  # the offset's share
     factors = torch.tensor([2.0, 0.5, 4.0], dtype=torch.float64)[:, None]
     assert_close(channel_scale_invariant_rmse(factors * y, y, w).scale, 1 / factors[:, 0])
@@ -98,7 +98,7 @@ def test_colour_angles_by_hand() -> None:
     red, yellow, blue = (torch.tensor(v, dtype=torch.float64) for v in ([2.0, 0, 0], [1.0, 1, 0], [0, 0, 3.0]))
     x = torch.stack([red, red, 0 * red], dim=-1)
     y = torch.stack([yellow, blue, blue], dim=-1)
-    assert float(colour_angle(x, y, torch.tensor([3.0, 1.0, 9.0]))) == pytest.approx((3 * 45 + 90) / 4, **CLOSE)
+    assert float(colour_angle(x, y, torch.tensor([3.0, 1.0, 9.0]))) == pytest.approx((3 * 45 + 90) / 4, rel=CLOSE)
     near = red + torch.tensor([0, 1e-10, 0], dtype=torch.float64)
     assert float(colour_angle(red[:, None], near[:, None], torch.ones(1))) == pytest.approx(
         math.degrees(5e-11), rel=1e-5

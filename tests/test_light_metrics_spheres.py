@@ -134,7 +134,8 @@ def test_a_smooth_lobe_is_nearly_a_mirror_and_light_from_behind_counts_nothing()
     assert 0.97 < float(centre.min()) < 1  # D leaves a^2 / (a^2 + tan^2 5°) = 0.013 outside
     rough = matte_sphere(EnvironmentMap(radiance), view, 1.0)[:, 4]
     assert float(rough.max()) < 0.1
-    behind = ggx_lobe(*(torch.tensor([[value]], dtype=torch.float64) for value in (-0.1, 0.5, 0.5)), 0.1)
+    below, half = (torch.tensor([[value]], dtype=torch.float64) for value in (-0.1, 0.5))
+    behind = ggx_lobe(below, half, half, 0.1)
     assert float(behind) == 0
 
 

@@ -81,8 +81,8 @@ def flips(pair: Pair, spheres: SphereTest) -> dict[str, float]:
     rows = pair.light.height // 2 if pair.part == "upper" else pair.light.height
     found = {"maps": hdr_flip(pair.light.radiance[:, :rows], pair.reference.radiance[:, :rows]).mean}
     for name in MATERIALS:
-        both = (picture(values[name], spheres.inside) for values in (spheres.light, spheres.reference))
-        found[name] = hdr_flip(*both).mean
+        shown, wanted = (picture(values[name], spheres.inside) for values in (spheres.light, spheres.reference))
+        found[name] = hdr_flip(shown, wanted).mean
     return found
 
 

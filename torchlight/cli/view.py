@@ -97,7 +97,9 @@ def facts(
     if found is None:
         return tuple(lines)
     result: dict[str, Any] = found.result
-    lines.append(f"photograph: {Path(str(result.get('photo'))).name}, RMS {result.get('rms_255'):.3g} of 255")
+    rms = result.get("rms_255")  # of their own light
+    explained = f", RMS {rms:.3g} of 255" if command.light is None and isinstance(rms, float) else ""
+    lines.append(f"photograph: {Path(str(result.get('photo'))).name}{explained}")
     if result.get("scene_sha256") != sha256_of(read_bytes(path)):
         lines.append(f"**{path.name} is not the file that these results were made with**")
     if not compared:

@@ -35,7 +35,7 @@ class Flip:
 def evaluator() -> ModuleType:
     """Returns the package that computes FLIP; raises ConfigError where it is not installed."""
     try:
-        import flip_evaluator
+        import flip_evaluator  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ConfigError(
             "FLIP needs the package flip-evaluator; install it: pip install 'torchlight[flip]', or leave --flip out"

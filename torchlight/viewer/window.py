@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from PIL import Image as Pictures
+from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from torchlight.errors import ConfigError
@@ -42,7 +43,7 @@ class Controls:
 def viser_module() -> ModuleType:
     """Returns viser; raises ConfigError where it is not installed."""
     try:
-        import viser
+        import viser  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ConfigError("the viewer needs viser; install it: pip install 'torchlight[viewer]'") from error
     return viser
@@ -171,7 +172,7 @@ def textured(mesh: Mesh, image: Image) -> bytes:
         roughnessFactor=1.0,
         doubleSided=False,
     )
-    visual = trimesh.visual.TextureVisuals(uv=mesh.places.astype(np.float64), material=material)
+    visual = TextureVisuals(uv=mesh.places.astype(np.float64), material=material)
     body = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
     data = trimesh.Scene(body).export(file_type="glb")
     if not isinstance(data, bytes):
