@@ -85,7 +85,7 @@ def test_the_test_map_keeps_the_colours_of_its_axes_and_its_power(kind: str) -> 
     assert_close(sphere_power(moved), sphere_power(light), rtol=1e-9, atol=0)
 
 
-def red(r: float, g: float, b: float) -> str:
+def axis_of(r: float, g: float, b: float) -> str:
     return {(1, 0, 0): "+X", (0, 1, 0): "+Y", (0, 0, 1): "+Z", (0, 1, 1): "-X", (1, 0, 1): "-Y", (1, 1, 0): "-Z"}[
         (int(r > 0.1), int(g > 0.1), int(b > 0.1))
     ]
@@ -112,7 +112,7 @@ def test_axes_lie_where_the_docs_draw_them(kind: str, places: dict[tuple[float, 
     light = converted(axis_faces(21), grid_for(kind, size))
     picture = to_picture(light.radiance, light.grid, kind)
     rows, columns = picture.shape[-2:]
-    found = {at: red(*picture[:, int(at[0] * rows), int(at[1] * columns)].tolist()) for at in places}
+    found = {at: axis_of(*picture[:, int(at[0] * rows), int(at[1] * columns)].tolist()) for at in places}
     assert found == places
 
 
@@ -121,7 +121,7 @@ def test_a_turn_moves_the_axes_and_keeps_the_power(kind: str) -> None:
     """x to y, y to z, z to x: by 120 degrees about (1, 1, 1)."""
     light = axis_faces(10)
     moved = converted(light, grid_for(kind, 20), parse_rotation("1,1,1,120"))
-    colours = [red(*moved.radiance[:, moved.grid.locate(axis)].tolist()) for axis in torch.eye(3).double()]
+    colours = [axis_of(*moved.radiance[:, moved.grid.locate(axis)].tolist()) for axis in torch.eye(3).double()]
     assert colours == ["+Z", "+X", "+Y"]
     assert_close(sphere_power(moved), sphere_power(light), rtol=1e-9, atol=0)
 
