@@ -19,7 +19,7 @@ from torchlight.light.grids import AngularGrid, CubeGrid, Grid, LatlongGrid
 from torchlight.light.resampling import resample, shared_angles
 from torchlight.light.rotations import about_axis, turns
 
-GRIDS: tuple[Grid, ...] = (LatlongGrid(6), LatlongGrid(9), CubeGrid(3), CubeGrid(4), AngularGrid(8), AngularGrid(11))
+GRIDS: tuple[Grid, ...] = (LatlongGrid(6), LatlongGrid(9), CubeGrid(4), AngularGrid(9))
 TURN = turns([("x", 40.0), ("z", 25.0), ("y", -70.0)])
 
 
