@@ -10,7 +10,6 @@ from typing import Any
 from torchlight.cli import arguments, fail
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, FormatError
-from torchlight.figures import encode_png, preview, to_srgb8
 from torchlight.io.atomic import check_writable, write_atomically
 from torchlight.io.coefficients import write_coefficients
 from torchlight.io.lights import read_stored, say_what_is_lost, write_sampled
@@ -20,6 +19,7 @@ from torchlight.light.procedural import axis_faces
 from torchlight.light.projection import check_degree
 from torchlight.light.rotations import is_about_z, parse_rotation
 from torchlight.light.sampled import SampledLight, converted, sphere_power, to_environment
+from torchlight.preview import encode_png, preview, to_srgb8
 
 AXES = "axes"
 HARMONICS = ("sh", "irradiance-sh")
