@@ -28,7 +28,7 @@ from torchlight.light_metrics.spheres import picture
 from torchlight.light_metrics.summary import Pair, measures, paired
 from torchlight.precomputation import precompute
 from torchlight.relighting import lit_by
-from torchlight.report.comparison import Comparison, SceneError255, against_scene, names, summary, table
+from torchlight.report.comparison import Comparison, SceneComparison, against_scene, summary, table
 from torchlight.report.comparison_picture import comparison_picture
 from torchlight.results import write_json
 
@@ -45,7 +45,7 @@ def run(command: arguments.Compare) -> int:
     with progress_bar("lighting spheres") as progress:
         spheres = sphere_test(pair.light, pair.reference, protocol, progress)
     found = Comparison(
-        names=names(command.light, command.reference),
+        names=(str(command.light), str(command.reference)),
         heights=(light.height, reference.height),
         pair=pair,
         fit=command.fit,
@@ -63,7 +63,7 @@ def run(command: arguments.Compare) -> int:
     return 0
 
 
-def in_scene(path: Path, pair: Pair, command: arguments.Compare) -> SceneError255:
+def in_scene(path: Path, pair: Pair, command: arguments.Compare) -> SceneComparison:
     """Returns what the difference means in photographs of a scene; errors name its file."""
     scene = load_scene(path)
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -24,7 +23,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class SceneError255:
+class SceneComparison:
     """What the difference of two lights means for the photographs of a scene.
 
     Attributes:
@@ -67,13 +66,13 @@ class Comparison:
     measures: Measures
     protocol: Protocol
     spheres: SphereTest
-    scene: SceneError255 | None = None
+    scene: SceneComparison | None = None
     flip: dict[str, float] | None = None
 
 
 def against_scene(
     pair: Pair, scene: Scene, transfer: Transfer, noise: float, rays: int, progress: Progress | None = None
-) -> SceneError255:
+) -> SceneComparison:
     """Returns what the difference of two lights means for photographs of a scene.
 
     Args:
@@ -93,7 +92,7 @@ def against_scene(
     parts = split(pair.light.radiance, pair.reference.radiance, basis)
     relit, wanted = (relight(lit_by(scene, each), each, rays, progress) for each in (pair.light, pair.reference))
     rms = metrics.rms_255(relit, wanted, used.to(relit))
-    return SceneError255(parts, basis, noise, int(used.sum()), number(rms))
+    return SceneComparison(parts, basis, noise, int(used.sum()), number(rms))
 
 
 def summary(found: Comparison) -> dict[str, Any]:
@@ -158,7 +157,7 @@ def totals_part(m: Measures) -> dict[str, Any]:
     }
 
 
-def scene_part(scene: SceneError255) -> dict[str, Any]:
+def scene_part(scene: SceneComparison) -> dict[str, Any]:
     """Returns the split of the error, as RMS radiance over the upper hemisphere."""
     parts = scene.split
     return {
@@ -269,8 +268,3 @@ def _list(values: list[float | None], form: str) -> str:
     if len({*values}) == 1 and values[0] is not None:
         return format(values[0], form)
     return ", ".join("-" if value is None else format(value, form) for value in values)
-
-
-def names(light: Path, reference: Path) -> tuple[str, str]:
-    """Returns what the two lights are called: their paths as given."""
-    return str(light), str(reference)
