@@ -22,7 +22,7 @@ from torchlight.cli.progress import progress_bar
 from torchlight.errors import SceneError, TorchlightWarning
 from torchlight.io.exr import write_exr
 
-COMMANDS = ("estimate", "render", "evaluate", "cache", "doctor", "demo")
+COMMANDS = ("estimate", "render", "insert", "relight", "evaluate", "cache", "doctor", "demo")
 
 
 @pytest.fixture(autouse=True)
@@ -48,6 +48,11 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         ("estimate", ("SCENE", "PHOTO", "--out DIR", "--method", "--basis", "--resolution", "--degree", "--solver")),
         ("estimate", ("--device", "--overwrite", "--no-cache", "texels", "haar", "sh", "nnls", "ridge", "adam")),
         ("render", ("SCENE", "LIGHT", "--out IMAGE", "--convention", "--exposure", "--rays", "--overwrite")),
+        (
+            "insert",
+            ("PHOTO", "--scene SCENE", "--light LIGHT", "--object MESH", "--out IMAGE", "--layer", "--position X Y"),
+        ),
+        ("relight", ("SCENE", "LIGHT", "--photo PHOTO", "--from OLD_LIGHT", "--remove-shadow", "--hole", "--gain")),
         ("evaluate", ("SCENE", "PHOTO", "LIGHT", "--fit-scale", "--convention", "--rays")),
         (
             "convert",

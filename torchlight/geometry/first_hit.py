@@ -20,10 +20,13 @@ from torchlight.geometry.visibility import (
     PAIRS_PER_CALL,
     UnitFrame,
     backend,
-    mesh_construction,
-    rtcore_scene,
     unit_frame,
 )
+
+try:
+    from embreex import mesh_construction, rtcore_scene
+except ImportError:  # no wheel for this platform: the torch twin is the stated fallback
+    mesh_construction = rtcore_scene = None
 
 Nearest = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
