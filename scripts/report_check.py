@@ -48,7 +48,7 @@ def made(folder: Path) -> Path:
     (folder / "day").mkdir()
     photograph(folder / "day")
     call = ["batch", str(folder / "day/*.png"), "--scene", str(folder / "block.yaml"), "--workers", "0"]
-    call += ["--skip-near-test"]
+    call += ["--skip-near-test", "--functions", "150"]
     try:
         torchlight([*call, "--out", str(folder / "lights")])
     except SystemExit as ended:
@@ -128,8 +128,13 @@ def shots(page: Page, one: Path, top: Path, out: Path) -> None:
     for name, path, width, height, dark in wanted:
         page.open(path, width, dark=dark)
         small = Image.open(BytesIO(page.picture(height))).convert("RGB")
-        scaled = small if width < 600 else small.resize((small.width * 2 // 3, small.height * 2 // 3), Image.LANCZOS)
+        scaled = small if width < 600 else smaller(small)
         scaled.quantize(COLOURS, dither=Image.Dither.NONE).save(out / f"{name}.png", optimize=True)
+
+
+def smaller(picture: Image.Image) -> Image.Image:
+    """Returns a picture at two thirds of its size."""
+    return picture.resize((picture.width * 2 // 3, picture.height * 2 // 3), Image.Resampling.LANCZOS)
 
 
 def expect(so: bool, otherwise: str) -> None:

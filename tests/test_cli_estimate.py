@@ -247,7 +247,7 @@ def test_no_other_keys_and_times_by_stage(made: Made) -> None:
         *("peak_share", "peaks", "reference", "units", "light_is", "length_unit", "convention", "photo_sha256"),
         *("scene_sha256", "versions", "preview_clipped_flux", "functions", "regions", "fates", "exposure"),
         *("near_light", "occluder_albedo", "light_plane", "placement", "camera", "rejected", "saturated_samples"),
-        *("noise", "warnings"),
+        *("noise", "warnings", "confidence", "fill"),
     }
     seconds = strict_json(made.folder / "timing.json")["seconds"]
     assert list(seconds) == ["scene", "transport", "photograph", "solve"]
