@@ -11,7 +11,7 @@ from torch.testing import assert_close
 from workbench import contents, light
 from workbench import torchlight as run
 
-from torchlight.io.exr import read_exr, write_exr
+from torchlight.io.exr import read_exr, write_channels, write_exr
 from torchlight.io.lights import read_light, write_light
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.procedural import axis_colours
@@ -48,6 +48,21 @@ def test_the_folder_of_an_estimate_is_a_light_and_its_observability_is_used(tmp_
     lamps = json.loads((tmp_path / "out/lamps.json").read_text())
     assert [lamp["confidence"] for lamp in lamps["lamps"]] == [pytest.approx(0.8)] * 3
     assert_close(read_light(tmp_path / "out/light_blender.exr").radiance, read_light(folder / "light.exr").radiance)
+
+
+def test_the_confidence_of_an_estimate_comes_before_what_was_known_of_its_scene(tmp_path: Path) -> None:
+    light(tmp_path / "light.exr")
+    write_exr(tmp_path / "observability.exr", torch.zeros(3, 8, 16), {"R": "resolution R_ii"})
+    write_channels(tmp_path / "confidence.exr", {"observability": torch.full((8, 16), 0.6)}, {})
+    assert run("export", tmp_path, "--to", "usd", "--out", tmp_path / "out").code == 0
+    lamps = json.loads((tmp_path / "out/lamps.json").read_text())
+    assert [lamp["confidence"] for lamp in lamps["lamps"]] == [pytest.approx(0.6)] * 3
+    write_channels(tmp_path / "confidence.exr", {"deviation.R": torch.zeros(8, 16)}, {})
+    ran = run("export", tmp_path, "--to", "usd", "--out", tmp_path / "two")
+    assert (ran.code, "holds no channel 'observability', only deviation.R" in ran.line) == (2, True)
+    (tmp_path / "empty").mkdir()
+    ran = run("export", tmp_path, "--to", "usd", "--out", tmp_path / "three", "--observability", tmp_path / "empty")
+    assert (ran.code, "holds neither confidence.exr nor observability.exr" in ran.line) == (2, True)
 
 
 def test_another_convention_and_files_that_say_their_own(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from torchlight.light.directions import to_angles
 from torchlight.light.environment import EnvironmentMap, irradiance
 from torchlight.light.lamps import Lamp, disc_mean
 
-CONFIDENCE = "mean R_ii over the lamp's disc in observability.exr: 1 = the photograph told, 0 = the prior did"
-UNKNOWN = "null: no observability.exr was at hand (torchlight analyze makes one)"
+CONFIDENCE = "mean R_ii over the lamp's disc of the observability: 1 = the photograph told, 0 = the prior did"
+UNKNOWN = "null: neither confidence.exr (torchlight estimate) nor observability.exr (torchlight analyze) was at hand"
 
 
 def lamps_content(

@@ -105,7 +105,9 @@ def note(begin, end, t0, x0, slope, step, columns, crossings, counts, before):
 
 @compiled
 @no_type_check
-def cross_all(ends, known, knowns, turning, turnings, x, y, shift, columns, meeting, hits, crossings, counts, before, reached):
+def cross_all(
+    ends, known, knowns, turning, turnings, x, y, shift, columns, meeting, hits, crossings, counts, before, reached
+):
     """Notes the crossings of all contours for one direction; returns whether there was room for them."""
     lines = float(len(counts))
     reached[0], reached[1] = len(counts), 0
@@ -218,9 +220,7 @@ def visible_integrals(
                         east = min(west + FINE, right)
                         part_of(rectangle, along, upper, lower, west, east, part)
                         window_of(slopes, square, upper, lower, west, east, window)
-                        surest, fines = narrow(
-                            coarse, 0, coarses, part, window, verdict, chosen, known, surer, fine, 0
-                        )
+                        surest, fines = narrow(coarse, 0, coarses, part, window, verdict, chosen, known, surer, fine, 0)
                         for i in range(upper, lower):
                             for j in range(west, east):
                                 x, y, shift = slopes[square, i, j, 0], slopes[square, i, j, 1], shifts[square, i, j]
@@ -230,5 +230,7 @@ def visible_integrals(
                                 ):  # fmt: skip
                                     crossings = longer(crossings, counts)
                                     counts[:], before[:] = 0, 0
-                                add_shadow(reached, weights[square, i, j], crossings, counts, before, packs, differences)
+                                add_shadow(
+                                    reached, weights[square, i, j], crossings, counts, before, packs, differences
+                                )
         sum_rows(differences, weights[square].sum() * lines, scales[square], square, result)

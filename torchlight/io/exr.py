@@ -48,6 +48,18 @@ def read_exr(path: str | Path) -> tuple[Float[Tensor, "channels height width"], 
     return _in_rec709(image, header, path), _metadata(header, path)
 
 
+def read_channel(path: str | Path, name: str) -> Float[Tensor, "height width"]:
+    """Returns one channel by its name, as `write_channels` writes them, float32.
+
+    Raises:
+        FormatError: as `read_exr`, or the file has no such channel.
+    """
+    _, channels = _decode(path)
+    if name not in channels:
+        raise FormatError(f"{path}: holds no channel {name!r}, only {', '.join(sorted(channels))}")
+    return torch.from_numpy(channels[name].astype(np.float32))
+
+
 def write_exr(
     path: str | Path,
     image: Float[Tensor, "channels height width"],

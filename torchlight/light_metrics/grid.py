@@ -1,9 +1,4 @@
-"""Two lights on one lat-long grid, and the solid angle that each sample of it stands for.
-
-A lat-long pixel is the product of an interval of z = cos theta and an interval of azimuth, and solid angle is dz dphi.
-The average over a pixel of another grid is therefore a product of two averages, and exact for a map that is constant
-over its own pixels.
-"""
+"""Two lights on one lat-long grid, and the solid angle that each sample of it stands for."""
 
 from __future__ import annotations
 
@@ -15,6 +10,8 @@ from torch import Tensor
 
 from torchlight.errors import ConfigError
 from torchlight.light import latlong
+from torchlight.light.grids import LatlongGrid
+from torchlight.light.resampling import resample
 
 Part = Literal["upper", "sphere"]
 MAX_HEIGHT = 4096
@@ -45,16 +42,7 @@ def resampled(
     latlong.check_latlong(rows, columns)
     if rows == height:
         return radiance
-    by_row = _averages(torch.cos(latlong.row_boundaries(rows)), torch.cos(latlong.row_boundaries(height)))
-    by_column = _averages(latlong.column_boundaries(columns), latlong.column_boundaries(2 * height))
-    return by_row.to(radiance) @ radiance @ by_column.to(radiance).T
-
-
-def _averages(source: Float[Tensor, " edges"], target: Float[Tensor, " others"]) -> Float[Tensor, "targets sources"]:
-    """Returns the share of each target interval that each source interval covers; edges descend."""
-    top = torch.minimum(source[:-1], target[:-1, None])
-    bottom = torch.maximum(source[1:], target[1:, None])
-    return (top - bottom).clamp(min=0) / (target[:-1] - target[1:])[:, None]
+    return resample(radiance.flatten(-2), LatlongGrid(rows), LatlongGrid(height)).unflatten(-1, (height, 2 * height))
 
 
 def sample_weights(height: int, part: Part, *, device: torch.device | str = "cpu") -> Float[Tensor, " samples"]:
