@@ -3,7 +3,7 @@
 Warp reads a kernel's annotations as its types, so none is deferred here.
 """
 
-import warp as wp
+import warp as wp  # pyright: ignore[reportMissingImports]
 
 FAR = 1.0e6
 
