@@ -122,12 +122,12 @@ def met(scene: Scene, resolution: int, subsamples: int) -> float:
     shape = on_grid(scene_contours(scene), scene.receiver, LINES)
     rectangles = directions_of(cubemap.whole_texels(resolution), subsamples)
     towards = rectangles.directions[::SOME].reshape(-1, 3)[::SOME].numpy()
-    slopes, table = shape.grid.slopes(towards), shape.table[:, : len(shape.contours.ends)]
+    slopes, fields = shape.grid.slopes(towards), shape.fields[:, : len(shape.contours.ends)]
     total = 0.0
     for x, y in slopes:
-        facing = [np.where(table[k] * x + table[k + 1] * y + table[k + 2] > 0, 1.0, -1.0) for k in (6, 9)]
-        contour = table[12] * facing[0] + table[13] * facing[1] != 0
-        high = abs((table[1] - y * table[2]) - (table[4] - y * table[5]))
+        facing = [np.where(fields[k] * x + fields[k + 1] * y + fields[k + 2] > 0, 1.0, -1.0) for k in (4, 7)]
+        contour = fields[10] * facing[0] + fields[11] * facing[1] != 0
+        high = abs((fields[0] - y * fields[1]) - (fields[2] - y * fields[3]))
         total += float(np.minimum(high, shape.grid.rows * LINES)[contour].sum())
     return total * len(rectangles.directions) * subsamples**2 / len(slopes) / 1e6
 

@@ -5,8 +5,8 @@ grid: x in columns of samples, y in lines (`lines` to a row of samples), z in th
 by its slope (x, y) = (dx / dz, dy / dz) in these units, and projects the point p to p_xy - (x, y) p_z. Sums are
 integers (the weights of a square add up to a fixed number), so that they neither drift nor depend on their order.
 
-Tables of edges are those of `geometry.contour_narrowing`, which leaves few of them for a block of directions; lists of
-crossings are those of `geometry.contour_lines`.
+Tables of edges are those of `geometry.narrowing_kernel`, which leaves few of them for a block of directions; lists of
+crossings are those of `geometry.crossing_kernel`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import no_type_check
 import numpy as np
 
 from torchlight.compiled import compiled
-from torchlight.geometry.contour_lines import (
+from torchlight.geometry.crossing_kernel import (
     COUNTED,
     INSERTED,
     empty_lists,
@@ -27,7 +27,7 @@ from torchlight.geometry.contour_lines import (
     sort_many,
     step_of,
 )
-from torchlight.geometry.contour_narrowing import bring_ends, collect, empty_table, narrow, part_of, window_of
+from torchlight.geometry.narrowing_kernel import bring_ends, collect, empty_table, narrow, part_of, window_of
 
 COARSE, FINE = 6, 3  # directions along the edge of a block
 
@@ -60,24 +60,44 @@ def find(fields, count, y, shift, lines, meeting, hits):
 
 @compiled
 @no_type_check
-def cross(ends, numbers, meeting, hits, found, x, y, shift, columns, crossings, counts, before, reached):
-    """Notes where edges cross the lines in one direction, and the lowest and highest line `reached`.
+def span(ends, numbers, meeting, hits, found, x, y, shift, lines, spans, lanes):
+    """Writes which lines an edge crosses (first, last + 1 and the step), and where: t0, x0 and the slope.
 
-    A line y = k + shift is crossed by an edge with one end below it and the other not. Crossings right of the grid
-    are dropped, those left of it only counted. Returns whether there was room for all.
+    A line y = k + shift is crossed by an edge with one end below it and the other not, at x = x0 + (k - t0) slope.
     """
-    lines, most = len(counts), 0
-    lowest, highest = reached[0], reached[1]
     for hit in range(found):
         e, n = numbers[hits[hit]], meeting[hits[hit]]
         z0, z1 = ends[e, 2], ends[e, 5]
         t0, t1 = ends[e, 1] - y * z0 - shift, ends[e, 4] - y * z1 - shift
         x0, x1 = ends[e, 0] - x * z0, ends[e, 3] - x * z1
-        begin, end = int(max(np.ceil(min(t0, t1)), 0.0)), int(min(np.ceil(max(t0, t1)), float(lines)))
-        step, slope = np.int32(-n if t0 < t1 else n), (x1 - x0) / (t1 - t0)
+        spans[hit, 0] = np.int64(max(np.ceil(min(t0, t1)), 0.0))
+        spans[hit, 1] = np.int64(min(np.ceil(max(t0, t1)), lines))
+        spans[hit, 2] = np.int64(-n if t0 < t1 else n)
+        lanes[hit, 0], lanes[hit, 1], lanes[hit, 2] = t0, x0, (x1 - x0) / (t1 - t0)
+
+
+@compiled
+@no_type_check
+def cross(spans, lanes, found, columns, crossings, counts, before, reached):
+    """Notes the crossings of some edges, and the lowest and highest line `reached`; returns whether there was room.
+
+    Crossings right of the grid are dropped, those left of it only counted; both without a branch, which would be hard
+    to predict: a crossing that does not count is written over by the next.
+    """
+    room, most, lowest, highest = crossings.shape[1], 0, reached[0], reached[1]
+    for hit in range(found):
+        begin, end, step = spans[hit, 0], spans[hit, 1], spans[hit, 2]
+        t0, x0, slope = lanes[hit, 0], lanes[hit, 1], lanes[hit, 2]
         lowest, highest = min(lowest, begin), max(highest, end)
-        most = max(most, note(begin, end, t0, x0, slope, step, columns, crossings, counts, before))
-        if most == crossings.shape[1]:
+        for line in range(begin, end):
+            place, row = x0 + (line - t0) * slope, np.uint32(line)
+            count = counts[row]
+            crossings[row, np.uint32(count)] = packed(place, step)
+            count += int((place > 0.0) & (place < columns))
+            counts[row] = count
+            before[row] += step * int(place <= 0.0)
+            most = max(most, count)
+        if most == room:
             return False
     reached[0], reached[1] = lowest, highest
     return True
@@ -85,38 +105,21 @@ def cross(ends, numbers, meeting, hits, found, x, y, shift, columns, crossings, 
 
 @compiled
 @no_type_check
-def note(begin, end, t0, x0, slope, step, columns, crossings, counts, before):
-    """Notes where one edge crosses lines, x = x0 + (line - t0) slope; returns the most crossings that one of them has.
-
-    There must be room for one more on each line.
-    """
-    most = 0
-    for line in range(begin, end):
-        place = x0 + (line - t0) * slope
-        if place <= 0.0:
-            before[line] += step
-        elif place < columns:
-            count = counts[line]
-            crossings[line, np.uint32(count)] = packed(place, step)
-            counts[line] = count + 1
-            most = max(most, count + 1)
-    return most
-
-
-@compiled
-@no_type_check
 def cross_all(
-    ends, known, knowns, turning, turnings, x, y, shift, columns, meeting, hits, crossings, counts, before, reached
-):
+    ends, known, knowns, turning, turnings, x, y, shift, columns, meeting, hits, spans, lanes, crossings, counts,
+    before, reached,
+):  # fmt: skip
     """Notes the crossings of all contours for one direction; returns whether there was room for them."""
     lines = float(len(counts))
     reached[0], reached[1] = len(counts), 0
     found = find(known[0], knowns, y, shift, lines, meeting, hits)
-    if not cross(ends, known[1], meeting, hits, found, x, y, shift, columns, crossings, counts, before, reached):
+    span(ends, known[1], meeting, hits, found, x, y, shift, lines, spans, lanes)
+    if not cross(spans, lanes, found, columns, crossings, counts, before, reached):
         return False
     turn(turning[0], turnings, x, y)
     found = find(turning[0], turnings, y, shift, lines, meeting, hits)
-    return cross(ends, turning[1], meeting, hits, found, x, y, shift, columns, crossings, counts, before, reached)
+    span(ends, turning[1], meeting, hits, found, x, y, shift, lines, spans, lanes)
+    return cross(spans, lanes, found, columns, crossings, counts, before, reached)
 
 
 @compiled
@@ -197,6 +200,7 @@ def visible_integrals(
     crossings, counts, before = empty_lists(rows * lines)
     hits, part, reached, window = np.empty(room, np.uint32), np.empty((3, 3)), np.zeros(2, np.int64), np.empty(3)
     differences, packs = np.empty((rows, columns + 1), np.int64), np.empty((2, COUNTED), np.int64)
+    spans, lanes = np.empty((room, 3), np.int64), np.empty((room, 3))
     window[2], everything = rows * lines, (fields, np.arange(room).astype(np.uint32))
     for square in range(len(slopes)):
         differences[:] = 0
@@ -225,8 +229,8 @@ def visible_integrals(
                             for j in range(west, east):
                                 x, y, shift = slopes[square, i, j, 0], slopes[square, i, j, 1], shifts[square, i, j]
                                 while not cross_all(
-                                    near, known, surest, fine, fines, x, y, shift, columns, verdict, hits, crossings,
-                                    counts, before, reached,
+                                    near, known, surest, fine, fines, x, y, shift, columns, verdict, hits, spans, lanes,
+                                    crossings, counts, before, reached,
                                 ):  # fmt: skip
                                     crossings = longer(crossings, counts)
                                     counts[:], before[:] = 0, 0

@@ -1,4 +1,4 @@
-"""The readable twin of `geometry.contour_kernel`: every face's own outline, one direction after the other.
+"""The readable twin of the compiled kernels: every face's own outline, one direction after the other.
 
 No edge is paired and no cluster skipped: each face contributes the crossings of its three edges, turned so that the
 inside of its projection counts 1, and the sheets over a line are the running sum of all crossings from left to right.

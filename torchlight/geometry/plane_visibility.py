@@ -30,7 +30,7 @@ def hidden_samples(shape: GridContours, directions: Float[Tensor, "directions 3"
     """
     towards = directions.detach().double().cpu().numpy()
     towards = towards / np.maximum(np.sqrt(np.einsum("di,di->d", towards, towards)), 1e-300)[:, None]
-    grid, kernel = shape.grid, kernel_or_none("contour_marks")
+    grid, kernel = shape.grid, kernel_or_none("visibility_kernel")
     result = np.zeros((len(towards), grid.rows * grid.columns), dtype=bool)
     result[towards[:, 2] <= 0] = True
     upward = np.flatnonzero(towards[:, 2] > 0)

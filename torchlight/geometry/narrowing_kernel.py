@@ -1,10 +1,12 @@
 """Which edges may bound a shadow for a rectangle of directions, compiled: narrowed down step by step.
 
-A table of edges is two arrays. `fields` has a column per edge, so that the loops over them become vector code. Its rows:
-y and z of both ends (0 to 3), two normals (4 to 9), the sides of the two faces (10, 11) and n_e (12). The other
-holds their places among the scene's edges, whose ends are looked up when they are needed. The scene's edges are narrowed to those that may be
-contours for a square of directions, these to a coarse block of it, these to a fine block. What is known to be a contour
-for a whole block, with its n_e, is kept apart from what may turn; what meets no line of the grid is left out.
+A table of edges is two arrays. One has a column per edge, so that the loops over them become vector code; its rows are
+y and z of both ends (0 to 3), two normals (4 to 9), the sides of the two faces (10, 11) and n_e (12). The other holds
+the edges' places among those whose ends stand next to each other, for what is asked of single edges.
+
+The scene's edges are narrowed to those that may be contours for a square of directions, these to a coarse block of it,
+these to a fine block. What is known to be a contour for a whole block, with its n_e, is kept apart from what may turn;
+what meets no line of the grid is left out.
 
 Products and sums are not contracted or reordered (no fastmath): the facing of a face must come out equal to the bit
 wherever it is needed, or a contour stays open and a whole line changes sides.
@@ -20,7 +22,7 @@ from torchlight.compiled import compiled
 
 ROUNDING = 1e-11  # of n . d for a unit normal and a direction to a face of the cube: a sign beyond it is certain
 SLACK = 1e-9  # of the sine of an angle between a cluster and a direction; of a line
-FIELDS = 13
+FIELDS = 13  # rows of a table
 TURNING = 9.0  # in the place of an n_e that changes within a block
 
 

@@ -15,7 +15,7 @@ from typing import no_type_check
 import numpy as np
 
 from torchlight.compiled import compiled
-from torchlight.geometry.contour_lines import INSERTED, longer
+from torchlight.geometry.crossing_kernel import INSERTED, longer
 
 ROOM = 32  # for the crossings of one line at first; doubled when it is not enough
 CLUSTER = 16  # edges in a cluster
@@ -103,14 +103,13 @@ def note(begin, end, first, t0, x0, slope, step, columns, crossings, counts, bef
     most = 0
     for line in range(begin, end):
         place = np.ceil(x0 + (line - t0) * slope - 0.5)
-        row = np.uint32(first + line)
-        if place <= 0.0:
-            before[row] += step
-        elif place < columns:
-            count = counts[row]
-            crossings[row, np.uint32(count)] = 8 * int(place) + 4 - step
-            counts[row] = count + 1
-            most = max(most, count + 1)
+        row, within = np.uint32(first + line), int(min(max(place, 0.0), float(columns)))
+        count = counts[row]
+        crossings[row, np.uint32(count)] = 8 * within + 4 - step  # written over by the next where it does not count
+        count += int((within > 0) & (within < columns))
+        counts[row] = count
+        before[row] += step * int(within == 0)
+        most = max(most, count)
     return most
 
 
@@ -185,7 +184,7 @@ def hidden_samples(axes, clusters, directions, slopes, numbers, columns, result)
     """Marks the samples whose centres are hidden from each of a bundle of directions.
 
     Args:
-        axes: of the clusters: x, y, z, and sine and cosine of their spread (2 and 0 where it may be any), [5, clusters].
+        axes: of the clusters: x, y, z, and sine and cosine of their spread (2 and 0 if it may be any), [5, clusters].
         clusters: tables of edges, [clusters, 14, 16].
         directions: unit, [3, directions].
         slopes: of the directions, [directions, 2].
@@ -208,7 +207,7 @@ def hidden_samples(axes, clusters, directions, slopes, numbers, columns, result)
         for i in range(nears):
             meet(clusters, c, slopes[near[i], 0], slopes[near[i], 1], height, i, met)
         found = hits_among(flat, nears * CLUSTER, hits)
-        if most + CLUSTER > crossings.shape[1]:
+        if most + CLUSTER >= crossings.shape[1]:
             crossings = longer(crossings, counts)
         most = max(most, note_all(hits, found, near, met, clusters, c, slopes, columns, crossings, counts, before))
     for k in range(bundle):

@@ -40,7 +40,7 @@ def longer(crossings, counts):
 @compiled
 @no_type_check
 def packed(place, step):
-    """Returns a place > 0 and a step of -2 to 2 there as one integer: in the order of the places, upward steps first."""
+    """Returns a place > 0 and a step of -2 to 2 there as one integer, in the order of the places."""
     return (np.float64(place).view(np.int64) & ~np.int64(7)) | np.int64(4 - step)
 
 
