@@ -12,7 +12,7 @@ from torchlight.errors import ShapeError
 from torchlight.inversion import nodes as module
 from torchlight.inversion.adaptive import AdaptiveHaar, AdaptiveSolution, solve_adaptive
 from torchlight.inversion.gain import ProjectedGain
-from torchlight.inversion.nodes import TEXEL, UNKNOWN, NodeColumns, WeightedNodes, product
+from torchlight.inversion.nodes import TEXEL, UNKNOWN, NodeColumns, WeightedNodes, own_product, product
 from torchlight.inversion.quadtree import pyramid, quadtree, squares, within
 from torchlight.photo.observation import Observation
 from torchlight.transfer import Transfer
@@ -171,15 +171,19 @@ def test_products_are_the_same_to_the_bit_on_any_number_of_threads() -> None:
     generator = torch.Generator().manual_seed(0)
     left, right = (torch.randn(n, 400, generator=generator, dtype=torch.float64) for n in (700, 300))
     before = torch.get_num_threads()
-    results = []
+    results, own = [], []
     try:
         for count in (1, 2):
             torch.set_num_threads(count)
             results.append(product(left, right))
+            own.append(own_product(left))
             assert torch.get_num_threads() == count
     finally:
         torch.set_num_threads(before)
     assert torch.equal(results[0], results[1])
+    assert torch.equal(own[0], own[1])
+    assert torch.equal(own[0], own[0].T)
+    assert_close(own[0], left @ left.T, rtol=1e-12, atol=1e-12)
     assert_close(results[0], left @ right.T, rtol=1e-12, atol=1e-12)
     assert product(left[:0], right).shape == (0, 300)
 
@@ -198,11 +202,11 @@ def test_the_gram_matrix_is_made_once_for_equal_weights(monkeypatch: pytest.Monk
     source = NodeColumns(block_transfer(8), 8)
     made: list[int] = []
 
-    def counted(left: Tensor, right: Tensor) -> Tensor:
-        made.append(len(left))
-        return product(left, right)
+    def counted(rows: Tensor) -> Tensor:
+        made.append(len(rows))
+        return own_product(rows)
 
-    monkeypatch.setattr(module, "product", counted)
+    monkeypatch.setattr(module, "own_product", counted)
     first, second = torch.ones(source.points, dtype=torch.float64), torch.ones(source.points, dtype=torch.float64)
     assert_close(WeightedNodes(source, first).gram, source.dense @ source.dense.T)
     before = len(made)

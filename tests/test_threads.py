@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from torchlight import threads
-from torchlight.threads import ordered_map, single_threaded, thread_count
+from torchlight.threads import aside, ordered_map, single_threaded, thread_count
 
 
 def test_results_come_in_the_items_order() -> None:
@@ -106,3 +106,13 @@ def test_tasks_of_one_thread_each_work_side_by_side(monkeypatch: pytest.MonkeyPa
         assert torch.get_num_threads() == before
     finally:
         torch.set_num_threads(before - 1)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_results_of_a_thread_beside_come_in_any_order_asked(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "thread_count", lambda: count)
+    with aside(lambda item: 10 // item, [1, 0, 5]) as (first, second, third):
+        assert third() == 2
+        with pytest.raises(ZeroDivisionError):
+            second()
+        assert first() == 10

@@ -85,14 +85,14 @@ def aside(task: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[lis
 
 
 def begin_beside(task: Callable[[], object]) -> None:
-    """Begins a task on a thread of its own, whose calls of torch work on that thread alone; nothing waits for it."""
+    """Begins a task on a thread of its own, whose calls of torch work on it alone; the process ends after it."""
     torch.get_num_threads()  # or this thread, should it ask later, would find the number that the other one has set
 
     def alone() -> None:
         with single_threaded():
             task()
 
-    Thread(target=alone, daemon=True).start()
+    Thread(target=alone).start()
 
 
 def single_threaded_map(task: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

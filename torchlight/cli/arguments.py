@@ -304,7 +304,7 @@ class Export:
     convention: Convention | None = None
     """Axes of a lat-long LIGHT; default: what its metadata says, else torchlight's."""
     observability: Annotated[Path | None, arg(metavar="FILE|DIR")] = None
-    """confidence.exr of an estimate or observability.exr of torchlight analyze, or their folder: how sure the photograph
+    """confidence.exr of an estimate, observability.exr of torchlight analyze, or their folder: how sure the photograph
     is of each lamp. Default: the one beside LIGHT, if there."""
     overwrite: bool = False
     """Replace an existing export."""

@@ -15,7 +15,7 @@ from torchlight.solvers.factor_kernel import TILE, factored, substitute
 
 PIVOTINGS = 20
 CHANCES = 3
-PROMISING = 0.5  # of the largest w outside: what comes in
+PROMISING = 0.1  # of the largest w outside: what comes in
 CAREFUL = 10  # pivotings in which only that does; where nearly all columns belong in, it would take hundreds
 SMALLEST_SHIFT = 1e-13  # just above the rounding of a float64 Gram matrix with unit diagonal
 SHIFT_ROUNDS = 50
