@@ -29,7 +29,7 @@ from torchlight.errors import ConfigError
 from torchlight.inversion.adaptive import AdaptiveHaar
 from torchlight.inversion.leaf_program import dropped_wavelets
 from torchlight.inversion.nodes import NodeColumns, product
-from torchlight.inversion.quadtree import Quadtree, pyramid, spread
+from torchlight.inversion.quadtree import Quadtree, pyramid, quadtree, spread
 from torchlight.inversion.refinement import needed
 from torchlight.light import cubemap, haar, latlong
 from torchlight.light.bases import Basis, HaarCubemap, Texels
@@ -182,12 +182,12 @@ def _of_squares(
     nodes: NodeColumns, found: Found, weights: Float[Tensor, " points"]
 ) -> Float[Tensor, "channels texels"]:
     """Returns the deviations of the squares of every channel's tree, spread over their texels."""
-    tree, root = nodes.tree, weights.sqrt()
+    tree, root = quadtree(nodes.tree.resolution), weights.sqrt()  # on the CPU, wherever the columns are
     kept = torch.zeros(0, 0, dtype=torch.bool) if found.kept is None else found.kept.cpu()
     divided = [needed(tree, functions) for functions in kept]
     leaves = [tree.leaves(inner) for inner in divided]
     known = torch.unique(torch.cat(leaves))  # channels share most of their squares
-    rows = nodes.of(known).cpu() * root
+    rows = nodes.of(known.to(nodes.dense.device)).cpu() * root
     gram, slopes = product(rows, rows), (_residual(found) * root) @ rows.T
     texels = haar.synthesis(found.coefficients.detach().cpu().double(), tree.resolution)
     values = square_means(tree, texels, known)
