@@ -15,7 +15,7 @@ from __future__ import annotations
 import csv
 import io
 import sys
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -211,6 +211,7 @@ def main(
     noise: float = 0.005,
     lights: tuple[str, ...] = (BUILT_IN, *PROBES),
     objects: tuple[str, ...] = (),
+    true_light: bool = False,
 ) -> None:
     """Prints and writes the table and the pictures; exit code 1 where a limit is not met.
 
@@ -221,6 +222,7 @@ def main(
         noise: standard deviation in the photograph, a share of white.
         lights: names.
         objects: names, by their first word; none = all.
+        true_light: insert by the true light instead: what is then wrong is the insertion, not the recovered light.
     """
     if not installed():
         sys.exit("insertion_check: needs Mitsuba 3; pip install 'torchlight[mitsuba]'")
@@ -229,6 +231,8 @@ def main(
     rows, pictures = [], []
     for name, environment in cases(data, lights).items():
         case = taken(name, environment, out, samples, noise)
+        if true_light:
+            case = replace(case, found=EnvironmentMap(environment.radiance * case.exposure))
         for thing in chosen:
             row, shown, real = measured(case, thing, samples)
             rows.append(row)
