@@ -21,6 +21,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import torch
 import tyro
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from rendered.inserted import COLOUR, Thing, codes, quieter, rim, scene, seen, things
 from rendered.photograph import installed, stored
 from rendered.probes import light
@@ -185,11 +187,12 @@ def write_tables(out: Path, rows: list[Row]) -> None:
 def draw(path: Path, shown: list[tuple[str, Tensor, Tensor, Tensor]]) -> None:
     """Writes photograph, insertion, truth and difference, one row each."""
     figure, axes = plt.subplots(len(shown), 4, figsize=(11, 2.25 * len(shown)), squeeze=False, layout="constrained")
+    drawn = ScalarMappable(Normalize(-20, 20), "RdBu_r")
     for row, (name, photo, made, truth) in zip(axes, shown, strict=True):
         for axis, image in zip(row[:3], (photo, made, truth), strict=True):
             axis.imshow(image.permute(1, 2, 0).byte().numpy(), interpolation="none")
         difference = (made - truth).mean(dim=0).numpy()
-        drawn = row[3].imshow(difference, cmap="RdBu_r", vmin=-20, vmax=20, interpolation="none")
+        row[3].imshow(difference, cmap=drawn.cmap, norm=drawn.norm, interpolation="none")
         row[0].set_ylabel(name, fontsize=8)
         for axis in row:
             axis.set_xticks([])

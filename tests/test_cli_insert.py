@@ -12,8 +12,10 @@ from torch import Tensor
 from torch.testing import assert_close
 from workbench import BOX, CAMERA, LINEAR, RECEIVER, Ran, exr, light, png, scene_file, torchlight
 
-from torchlight.io.exr import read_exr
+from torchlight.io.exr import read_exr, write_channels
 from torchlight.io.images import read_photo, write_png
+from torchlight.io.lights import write_light
+from torchlight.light.environment import EnvironmentMap
 
 PLATE = "v -0.3 -0.3 0\nv 0.3 -0.3 0\nv 0.3 0.3 0\nv -0.3 0.3 0\nv 0 0 0.6\n" + "".join(
     f"f {face}\n" for face in ("1 3 2", "1 4 3", "1 2 5", "2 3 5", "3 4 5", "4 1 5")
@@ -77,7 +79,9 @@ def test_sixteen_bits_stay_sixteen_and_jpeg_is_written(desk: Path) -> None:
     stored = (read_photo(desk / "photo.png").pixels * 65535).round().permute(1, 2, 0).contiguous().numpy()
     write_png(desk / "deep.png", stored.astype(np.uint16))
     assert insert(desk, *AT, photo="deep.png").code == 0
-    assert cv2.imread(str(desk / "out.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint16
+    deep = cv2.imread(str(desk / "out.png"), cv2.IMREAD_UNCHANGED)
+    assert deep is not None
+    assert deep.dtype == np.uint16
     assert insert(desk, *AT, out="out.jpg").code == 0
     assert codes(desk / "out.jpg").shape == (16, 16, 3)
 
@@ -98,6 +102,19 @@ def test_a_camera_s_photograph(desk: Path) -> None:
     before, after = codes(desk / "seen.png"), codes(desk / "out.png")
     assert 20 < int((before != after).any(dim=-1).sum()) < 72 * 96
     assert "times as bright as this light makes it" in ran.out  # a grey picture is not this light's
+
+
+def test_light_that_the_photograph_does_not_determine_is_said(desk: Path) -> None:
+    """Half of the sphere above the plane is doubtful, and the light is even: half of what reaches upright surfaces."""
+    write_light(desk / "light.exr", EnvironmentMap(torch.ones(3, 8, 16)), {})
+    doubtful = torch.ones(8, 16)
+    doubtful[:, :8] = 0.0
+    write_channels(desk / "confidence.exr", {"observability": doubtful}, {})
+    ran = insert(desk, *AT)
+    assert ran.code == 0, ran.err
+    assert "determined: 50% of the light that reaches upright surfaces" in ran.out
+    write_channels(desk / "confidence.exr", {"observability": torch.ones(8, 16)}, {})
+    assert "determined:" not in insert(desk, *AT, "--overwrite").out
 
 
 def test_units_scale_and_pose_say_the_same(desk: Path) -> None:

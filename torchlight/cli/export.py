@@ -21,8 +21,8 @@ from torchlight.export.skylibs import skylibs
 from torchlight.export.threejs import threejs
 from torchlight.export.usd import usd
 from torchlight.io.atomic import check_writable
-from torchlight.io.exr import read_channel, read_exr
 from torchlight.io.lights import read_light
+from torchlight.io.observability_file import observability_beside, read_observability
 from torchlight.light.environment import EnvironmentMap, negative_share
 from torchlight.light.lamps import Lamp, extract_lamps
 
@@ -36,7 +36,6 @@ TARGETS = {
 }
 KEEP_NEGATIVE = ("openexr", "skylibs")
 LISTED = 4  # lamps named in lamps.json where none is asked for
-CONFIDENCE, OBSERVABILITY = "confidence.exr", "observability.exr"  # of an estimate, of torchlight analyze
 
 
 def run(command: arguments.Export) -> int:
@@ -44,7 +43,7 @@ def run(command: arguments.Export) -> int:
     check_settings(command)
     source = light_file(command.light)
     light = read_light(source, command.convention)
-    observability = read_observability(command.observability, source)
+    observability = known_observability(command.observability, source)
     lamps, rest = extract_lamps(light, command.lamps or LISTED)
     taken = command.lamps > 0
     shown, given = (rest, lamps) if taken else (light, ())
@@ -79,31 +78,10 @@ def light_file(path: Path) -> Path:
     return path / "light.exr" if path.is_dir() else path
 
 
-def read_observability(given: Path | None, light: Path) -> Float[Tensor, "height width"] | None:
-    """Returns R_ii: of the file or folder named, else of what lies beside the light, else None.
-
-    Raises:
-        FormatError: the file is not such a map.
-    """
-    path = beside(light.parent) if given is None else beside(given) if given.is_dir() else given
-    if path is None and given is not None:
-        raise FormatError(
-            f"{given}: holds neither {CONFIDENCE} nor {OBSERVABILITY}; torchlight estimate writes the one"
-        )
-    if path is None:
-        return None
-    if path.name == CONFIDENCE:
-        return read_channel(path, "observability")
-    image, metadata = read_exr(path)
-    if not str(metadata.get("R", "")).startswith("resolution") or image.shape[-1] != 2 * image.shape[-2]:
-        raise FormatError(f"{path}: not an observability map; name the {OBSERVABILITY} of torchlight analyze")
-    return image[0]
-
-
-def beside(folder: Path) -> Path | None:
-    """Returns the observability map in a folder: that of an estimate before that of `torchlight analyze`."""
-    found = (folder / name for name in (CONFIDENCE, OBSERVABILITY))
-    return next((path for path in found if path.is_file()), None)
+def known_observability(given: Path | None, light: Path) -> Float[Tensor, "height width"] | None:
+    """Returns R_ii of what was named, else of what lies beside the light, else None."""
+    path = observability_beside(light.parent) if given is None else given
+    return None if path is None else read_observability(path)
 
 
 def lamps_line(asked: int, lamps: Sequence[Lamp]) -> str:

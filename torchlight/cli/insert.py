@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchlight.analysis.observability import DETERMINED
 from torchlight.cli import arguments
 from torchlight.cli.outputs import check_outputs
 from torchlight.cli.progress import progress_bar
@@ -21,13 +22,17 @@ from torchlight.insertion.shading import Material
 from torchlight.io.images import Photo, read_photo
 from torchlight.io.lights import read_light
 from torchlight.io.meshes import read_mesh
+from torchlight.io.observability_file import observability_beside, read_observability
 from torchlight.io.pictures import Storage, Untouched, check_suffix, storage_of, write_picture
 from torchlight.io.scene_file import load_scene
+from torchlight.light import latlong
+from torchlight.light.environment import EnvironmentMap, luminance, radiance_at
 from torchlight.observing import linearize, placed
 from torchlight.photo.observation import LinearPhoto
 
 DARKENED = 0.01  # of a pixel's light: what counts as shadow in what is said
 LEAST_CHANGE = 1e-3
+DOUBTFUL = 0.1  # share of the light on upright surfaces that is said to be uncertain
 OFF = 0.1  # the plane brighter or darker by more than this: the light is hardly the photograph's
 
 
@@ -49,7 +54,7 @@ def run(command: arguments.Insert) -> int:
     for path, write in pictures.items():
         clipped = write(path, made, photo, storage)
         print(f"{path}: {said(made)}" if clipped is None else f"{path}: {said(made)}; {clipped:.1%} clipped")
-    for line in doubts(made, linear, rendering):
+    for line in [*doubts(made, linear, rendering), *undetermined(command.light, light)]:
         print(line)
     return 0
 
@@ -151,6 +156,34 @@ def said(made: Insertion) -> str:
     """Returns what the picture holds."""
     shadow = ((made.ratio < 1 - DARKENED).any(dim=0) & (made.coverage < 1)).double().mean().item()
     return f"the object covers {made.coverage.mean().item():.1%} of the picture, its shadow falls on {shadow:.1%}"
+
+
+def undetermined(path: Path, light: EnvironmentMap) -> list[str]:
+    """Returns what is to be said of light on the object that the photograph does not determine, if that is much.
+
+    Surfaces that face all ways receive light in proportion to its solid angle, the plane by the cosine as well: what
+    comes from near the horizon lights an object, and hardly the plane that it was recovered from.
+    """
+    beside = observability_beside(path.parent)
+    if beside is None:
+        return []
+    share = doubtful_share(light, read_observability(beside))
+    if not share > DOUBTFUL:
+        return []
+    return [
+        f"determined: {share:.0%} of the light that reaches upright surfaces comes from where the photograph tells "
+        f"little of its structure ({beside.name}); the object's shading may be off there, its shadow hardly"
+    ]
+
+
+def doubtful_share(light: EnvironmentMap, observability: Float[Tensor, "height width"]) -> float:
+    """Returns the share of the power from above the plane that comes from where R_ii is below `DETERMINED`."""
+    height = observability.shape[0]
+    directions = latlong.pixel_directions(height).reshape(-1, 3)
+    power = luminance(radiance_at(light, directions).double().clamp(min=0))
+    power = power * latlong.row_solid_angles(height).repeat_interleave(2 * height) * (directions[:, 2] > 0)
+    total = float(power.sum())
+    return float(power[observability.reshape(-1) < DETERMINED].sum()) / total if total > 0 else 0.0
 
 
 def doubts(made: Insertion, photo: LinearPhoto, rendering: Rendering) -> list[str]:

@@ -46,7 +46,7 @@ def begin(words: Sequence[str]) -> None:
 
 def load_drawing() -> None:
     """Loads what draws pictures, without the manual that Matplotlib writes for its classes: a quarter of its import."""
-    import_module("matplotlib.artist").kwdoc = lambda artist: ""
+    setattr(import_module("matplotlib.artist"), "kwdoc", lambda artist: "")  # noqa: B010  (a module has any attribute)
     import_module("torchlight.fates")
 
 
