@@ -21,7 +21,6 @@ from draw_batch import SCENE, photograph
 from PIL import Image
 
 WIDTHS = (390, 1440)
-COLOURS = 128  # of the screenshots: small files
 
 
 def main(out: Path = Path("docs/images")) -> None:
@@ -129,7 +128,7 @@ def shots(page: Page, one: Path, top: Path, out: Path) -> None:
         page.open(path, width, dark=dark)
         small = Image.open(BytesIO(page.picture(height))).convert("RGB")
         scaled = small if width < 600 else smaller(small)
-        scaled.quantize(COLOURS, dither=Image.Dither.NONE).save(out / f"{name}.png", optimize=True)
+        scaled.save(out / f"{name}.png", optimize=True)
 
 
 def smaller(picture: Image.Image) -> Image.Image:
