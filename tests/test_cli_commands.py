@@ -119,7 +119,7 @@ def test_a_bug_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_ctrl_c_while_torch_is_being_imported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "import_module", lambda name: raising(KeyboardInterrupt())())
+    monkeypatch.setattr("torchlight.cli.loading.import_module", lambda name: raising(KeyboardInterrupt())())
     ran = run("cache", "list")
     assert ran.code == 130
     assert "interrupted" in ran.line

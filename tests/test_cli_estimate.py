@@ -243,7 +243,17 @@ def test_the_peak_is_the_mean_flux_within_12_degrees_of_the_brightest_texel(made
 def test_no_other_keys_and_times_by_stage(made: Made) -> None:
     assert set(made.result) == {
         *("photo", "rms_255", "rms_relative", "visible", "points", "visible_share", "method", "resolution", "solver"),
-        *("coefficients", "nonzero", "nonnegative", "status", "steps", "kkt_residual", "gap", "peak_direction"),
+        *(
+            "coefficients",
+            "nonzero",
+            "nonnegative",
+            "negative_flux",
+            "status",
+            "steps",
+            "kkt_residual",
+            "gap",
+            "peak_direction",
+        ),
         *("peak_share", "peaks", "reference", "units", "light_is", "length_unit", "convention", "photo_sha256"),
         *("scene_sha256", "versions", "preview_clipped_flux", "functions", "regions", "fates", "exposure"),
         *("near_light", "occluder_albedo", "light_plane", "placement", "camera", "rejected", "saturated_samples"),
@@ -305,6 +315,7 @@ def test_negative_values_are_kept_and_said(ridge: Made) -> None:
         metadata = json.loads(dict(file.header())["torchlight"])
     assert metadata["nonnegative"] is False
     assert ridge.result["nonnegative"] is False
+    assert 0.1 < ridge.result["negative_flux"] < 0.9
     radiance = read_light(ridge.folder / "light.exr").radiance
     assert radiance.min() < -0.01 * radiance.max()
     assert read_light(ridge.folder / "light.hdr").radiance.min() == 0

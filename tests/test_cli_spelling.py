@@ -15,7 +15,7 @@ EVERYTHING_ON = """
 solver: {robust: true}
 checks: {refine_pose: silhouette, estimate_height: true, skip_near_test: true}
 compute: {no_cache: true}
-output: {skip_pictures: true}
+output: {skip_pictures: true, skip_confidence: true, skip_report: true}
 light: {resolution: 8}
 adaptive: {noise: 0.01}
 """

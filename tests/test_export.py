@@ -270,7 +270,7 @@ def test_lamps_json_has_directions_sizes_and_confidence() -> None:
     assert sun["azimuth_degrees"] == pytest.approx(35, abs=0.2)
     assert sun["elevation_degrees"] == pytest.approx(50, abs=0.2)
     assert sun["confidence"] is None
-    assert content["confidence_is"].startswith("null: no observability.exr")
+    assert content["confidence_is"].startswith("null: neither confidence.exr")
     whole, rest = (torch.tensor(content[f"plane_irradiance{end}"]) for end in ("", "_without_lamps"))
     assert_close(whole - rest, torch.tensor([it["irradiance_on_plane"] for it in content["lamps"]]).sum(dim=0))
     known = lamps_content(SUNNY, REST, LAMPS, True, torch.full((8, 16), 0.75))

@@ -24,7 +24,8 @@ from torchlight.io.atomic import partial_folder, write_atomically
 from torchlight.io.exif import Exif
 from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
-from torchlight.light.environment import EnvironmentMap
+from torchlight.io.rgbe import write_hdr
+from torchlight.light.environment import EnvironmentMap, negative_share
 from torchlight.light.peaks import Peaks
 from torchlight.light_plane import LightPlane
 from torchlight.marking import marked_light
@@ -157,7 +158,7 @@ def write_result(
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in LIGHT_KEYS}
         write_light(partial / "light.exr", estimate.light, metadata)
-        write_light(partial / "light.hdr", estimate.light, {})
+        write_hdr(partial / "light.hdr", estimate.light.radiance)  # torchlight's convention, 0 for negative
         write_atomically(partial / "light.png", drawn)
         if confidence is not None:
             write_confidence(partial / "confidence.exr", confidence, light.height, metadata)
@@ -255,6 +256,7 @@ def found_light(estimate: Estimate, method: str, solver: str) -> dict[str, Any]:
         **size_of_light(estimate.refinement, estimate.basis.resolution),
         "noise": None if estimate.noise is None else number(estimate.noise),
         "nonnegative": estimate.light.nonnegative,
+        "negative_flux": number(negative_share(estimate.light)),
         "status": [Status(value).name.lower() for value in solution.status.tolist()],
         "steps": solution.steps.tolist(),
         "kkt_residual": [number(value) for value in solution.kkt_residual],

@@ -78,9 +78,10 @@ def first_hit(triangles: Float[Tensor, "faces 3 3"], bounds: Float[Tensor, "poin
         triangles: in the world's unit.
         bounds: further points that the unit frame must hold.
     """
-    frame = unit_frame(torch.cat([triangles.reshape(-1, 3), bounds.to(triangles)]))
+    points = torch.cat([triangles.reshape(-1, 3), bounds.to(triangles)])
     if len(triangles) == 0:
-        return FirstHit(frame, _nothing)
+        return FirstHit(unit_frame(points if len(points) > 0 else points.new_zeros(1, 3)), _nothing)
+    frame = unit_frame(points)
     if backend() == "raycast":
         message = "Embree is not installed (no embreex wheel for this platform): the slow torch ray caster is used"
         warnings.warn(message, TorchlightWarning, stacklevel=2)

@@ -15,6 +15,7 @@ from torchlight.io.atomic import partial_folder, write_atomically
 from torchlight.io.exif import Exif
 from torchlight.io.files import one_line
 from torchlight.io.lights import write_light
+from torchlight.io.rgbe import write_hdr
 from torchlight.joint import JointEstimate
 from torchlight.preview import preview
 from torchlight.results import (
@@ -88,7 +89,7 @@ def write_joint(
     with partial_folder(folder, overwrite=overwrite) as partial:
         metadata = {key: result[key] for key in ("method", "resolution", "light_is")}
         write_light(partial / "light.exr", estimate.light, metadata)
-        write_light(partial / "light.hdr", estimate.light, {})
+        write_hdr(partial / "light.hdr", estimate.light.radiance)  # torchlight's convention, 0 for negative
         write_atomically(partial / "light.png", shown.png)
         for index, fit in enumerate(fits):
             write_atomically(partial / f"fit_{index + 1}.png", fit)
