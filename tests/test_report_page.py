@@ -23,7 +23,7 @@ from torchlight.light.bases import Texels
 from torchlight.light.environment import EnvironmentMap
 from torchlight.photo.observation import Rejection
 from torchlight.pipeline import Estimate, estimate, with_confidence
-from torchlight.report import panels
+from torchlight.report import jpegs, panels
 from torchlight.report.colours import coloured
 from torchlight.report.page import angles, photo_files
 from torchlight.results import Provenance, select, write_result
@@ -46,7 +46,7 @@ def found() -> Estimate:
 @pytest.fixture(scope="module")
 def photo() -> bytes:
     pixels = torch.rand(3, 30, 40, generator=torch.Generator().manual_seed(0))
-    return panels.photograph(pixels, linear=False)
+    return jpegs.photograph(pixels, linear=False)
 
 
 def written(folder: Path, found: Estimate, photo: bytes, provenance: Provenance = PROVENANCE) -> bytes:
@@ -87,7 +87,7 @@ def test_the_same_result_gives_the_same_bytes(tmp_path: Path, found: Estimate, p
     assert written(tmp_path / "a", found, photo) == written(tmp_path / "b", found, photo, other)
     thumbnails = [(tmp_path / name / "thumbnail.jpg").read_bytes() for name in "ab"]
     assert thumbnails[0] == thumbnails[1]
-    assert panels.unpacked(thumbnails[0]).shape == (52, 180, 3)
+    assert jpegs.unpacked(thumbnails[0]).shape == (52, 180, 3)
 
 
 def test_pages_without_confidence_or_refinement_say_so(tmp_path: Path, found: Estimate, photo: bytes) -> None:
@@ -141,15 +141,15 @@ def test_negative_and_black_light_can_be_shown() -> None:
 def test_photographs_are_made_small_and_shown_as_they_are_seen() -> None:
     pixels = torch.zeros(3, 10, 2000)
     pixels[0] = 0.5
-    stored = panels.unpacked(panels.photograph(pixels, linear=False))
+    stored = jpegs.unpacked(jpegs.photograph(pixels, linear=False))
     assert stored.shape == (4, 720, 3)
     assert abs(int(stored[2, 300, 0]) - 128) < 4
-    shown = panels.unpacked(panels.photograph(pixels, linear=True))
+    shown = jpegs.unpacked(jpegs.photograph(pixels, linear=True))
     assert abs(int(shown[2, 300, 0]) - 188) < 4
-    bright = panels.unpacked(panels.photograph(torch.full((3, 8, 8), 1e4), linear=True))
+    bright = jpegs.unpacked(jpegs.photograph(torch.full((3, 8, 8), 1e4), linear=True))
     assert int(bright.min()) > 250
     broken = torch.full((3, 8, 8), torch.nan)
-    assert int(panels.unpacked(panels.photograph(broken, linear=True)).max()) < 4
+    assert int(jpegs.unpacked(jpegs.photograph(broken, linear=True)).max()) < 4
 
 
 def test_colours_and_directions() -> None:

@@ -22,6 +22,7 @@ from torchlight.photo.observation import LinearPhoto, Observation
 from torchlight.photo.radiometry import resolve_encoding
 from torchlight.placement import shadow, silhouette
 from torchlight.placement.report import Placement, sentence
+from torchlight.report.jpegs import photograph
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +84,6 @@ def look(setting: Setting, path: Path, stored: Photo, exposure: float | str | No
 
 def shown(stored: Photo, scene: Scene) -> bytes:
     """Returns a photograph as its report shows it."""
-    from torchlight.report.panels import photograph  # at start-up nothing of it is needed
-
     return photograph(stored.pixels, resolve_encoding(scene.encoding, stored.bits) in ("linear", "raw"))
 
 

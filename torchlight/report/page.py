@@ -18,6 +18,7 @@ from torchlight.pipeline import Estimate
 from torchlight.preview import encode_png
 from torchlight.report import panels
 from torchlight.report.colours import SEQUENTIAL, bar, rules
+from torchlight.report.jpegs import size_of_jpeg
 from torchlight.report.markup import data_uri, document, facts, figure, grid, listed, paragraph, picture, section, text
 
 RESIDUAL = "Residual: predicted - observed, in luminance. Purple: predicted too bright. Orange: too dark."
@@ -31,7 +32,7 @@ def photo_files(
     """Returns report.html and thumbnail.jpg of a photograph.
 
     Args:
-        photo: as `panels.photograph` gives it.
+        photo: as `jpegs.photograph` gives it.
         receiver: of its scene.
         estimate: of it.
         result: what result.json holds.
@@ -91,7 +92,7 @@ def evidence(photo: bytes, receiver: Receiver, estimate: Estimate, name: str) ->
     observed, predicted, residual = (encode_png(pixels) for pixels in shown)
     about = "Seen from above, x to the right and y up."
     yield '<div class="panels grid">'
-    yield figure(picture(photo, f"The photograph {name}", panels.size_of_jpeg(photo), "jpeg"), "The photograph.")
+    yield figure(picture(photo, f"The photograph {name}", size_of_jpeg(photo), "jpeg"), "The photograph.")
     yield figure(picture(observed, "The receiver as the photograph shows it, rectified", size), f"Observed. {about}")
     yield figure(picture(predicted, "The receiver under the recovered light", size), "Predicted: what the light casts.")
     middle = bar(DIVERGING, (f"-{limit:.1f}", "0", f"+{limit:.1f} of 255"))

@@ -7,7 +7,7 @@ from io import BytesIO
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -20,54 +20,14 @@ from torchlight.inversion.refinement import Fate, needed
 from torchlight.light.environment import LUMINANCE, EnvironmentMap, luminance
 from torchlight.photo.observation import Observation
 from torchlight.report.colours import NOTHING, SEQUENTIAL, coloured
+from torchlight.report.jpegs import jpeg, unpacked
 
 LIGHT_ROWS = 256
 BIAS = 128  # of exponents
 LEAST, MOST = -3.0, 1.0  # decades of the deviation's picture
-PHOTO_PIXELS = 720  # the longer side of the photograph in a page
-PHOTO_QUALITY, THUMBNAIL_QUALITY = 82, 72
+THUMBNAIL_QUALITY = 72
 THUMBNAIL_ROWS, THUMBNAIL_COLUMNS = 52, 180
 FACES_PIXELS = 1024
-
-
-def photograph(pixels: Float[Tensor, "3 height width"], linear: bool) -> bytes:
-    """Returns a photograph as a small JPEG; linear values are encoded, floating ones with white at their 99.5 %.
-
-    Args:
-        pixels: as stored.
-        linear: whether they are proportional to radiance.
-    """
-    height, width = pixels.shape[-2:]
-    factor = min(1.0, PHOTO_PIXELS / max(height, width))
-    size = (max(1, round(width * factor)), max(1, round(height * factor)))
-    planes = [cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in pixels.cpu().numpy()]
-    small = torch.from_numpy(np.stack(planes)).nan_to_num(0.0, 1.0, 0.0)
-    if linear:
-        white = float(np.quantile(small.numpy(), 0.995)) if float(small.max()) > 1 else 1.0
-        stored = to_srgb8(small / max(white, 1e-12))
-    else:
-        stored = (small.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()
-    return jpeg(stored, PHOTO_QUALITY)
-
-
-def jpeg(picture: UInt8[np.ndarray, "height width 3"], quality: int) -> bytes:
-    """Returns an RGB picture as JPEG."""
-    _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return data.tobytes()
-
-
-def size_of_jpeg(data: bytes) -> tuple[int, int]:
-    """Returns width and height of a JPEG."""
-    picture = unpacked(data)
-    return picture.shape[1], picture.shape[0]
-
-
-def unpacked(data: bytes) -> NDArray[np.uint8]:
-    """Returns the RGB pixels of a JPEG."""
-    picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise ValueError("not a picture")
-    return picture[..., ::-1].astype(np.uint8)
 
 
 # --- the receiver ----------------------------------------------------------------------------------------------------
@@ -138,7 +98,7 @@ def thumbnail(photo: bytes, radiance: Float[Tensor, "3 height width"], scale: fl
     """Returns a JPEG of a photograph and, beside it, the upper half of its light: a row's picture in a table.
 
     Args:
-        photo: as `photograph` gives it.
+        photo: as `jpegs.photograph` gives it.
         radiance: of the light.
         scale: the factor from radiance to linear picture values.
     """
