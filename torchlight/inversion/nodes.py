@@ -188,6 +188,8 @@ class WeightedNodes:
 
 def own_product(rows: Float[Tensor, "n points"]) -> Float[Tensor, "n n"]:
     """Returns the inner products of rows with each other, made above the diagonal and copied below, as `product` is."""
+    if rows.device.type != "cpu":
+        return rows @ rows.T
     result = rows.new_empty(rows.shape[0], rows.shape[0])
 
     def fill(start: int) -> None:
