@@ -40,21 +40,28 @@ GIB = 2**30
 SORTED_BYTES = 32  # of a crossing of 8 bytes: written, read, and moved once by the sort
 
 
-def main(out: Path = OUT) -> None:
+def main(out: Path = OUT, only_roofline: bool = False) -> None:
     """Prints Markdown tables and writes OUT/growth.csv and OUT/roofline.csv.
 
     Args:
         out: where the CSV files go.
+        only_roofline: not the growth, which takes two minutes.
     """
+    if not only_roofline:
+        grown(out)
+    pieces = list(rooflines())
+    print(f"\n{markdown(pieces)}")
+    save("roofline", pieces, thread_count(), out)
+
+
+def grown(out: Path) -> None:
+    """Prints and writes the cost along each axis."""
     rows = [*transports(), *solves()]
     for what, axis in dict.fromkeys((str(row["what"]), str(row["axis"])) for row in rows):
         some = [row for row in rows if (row["what"], row["axis"]) == (what, axis)]
         sizes, seconds = ([float(str(row[key])) for row in some] for key in ("size", "seconds"))
         print(f"\n{what}: seconds grow as {axis} to the power {exponent(sizes, seconds):.2f}\n\n{markdown(some)}")
     save("growth", rows, thread_count(), out)
-    pieces = list(rooflines())
-    print(f"\n{markdown(pieces)}")
-    save("roofline", pieces, thread_count(), out)
 
 
 def transports() -> Iterator[Row]:
