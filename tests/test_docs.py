@@ -26,8 +26,8 @@ from torchlight.io.scene_file import load_scene
 from torchlight.photo.observation import linear_photo
 from torchlight.pipeline import estimate, with_confidence
 from torchlight.precomputation import DIRECTIONS_PER_EDGE
+from torchlight.report.jpegs import photograph
 from torchlight.report.page import photo_files
-from torchlight.report.panels import photograph
 from torchlight.results import Provenance, select, write_result
 from torchlight.synthetic import block_scene
 from torchlight.transfer import transport
