@@ -15,7 +15,8 @@ from pathlib import Path
 
 from faults.small_batch import Case, digest, fingerprints, journal_lines, leftovers
 
-FILES = frozenset({"light.exr", "light.hdr", "light.png", "estimate.safetensors", "timing.json", "result.json"})
+LIGHTS = frozenset({"light.exr", "light.hdr", "light.png", "confidence.exr"})
+FILES = LIGHTS | {"estimate.safetensors", "timing.json", "result.json"}
 WORKERS_KILLED = 0.25  # share of the kills at which a worker goes first, and the parent a little later
 EARLY = 0.3  # share of the kills that come before the call has written anything
 PATIENCE = 60.0  # seconds, on a machine busy with other things too, for workers to follow their parent
