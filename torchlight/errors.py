@@ -5,7 +5,10 @@ Every message is one line. The command line prints it and nothing else.
 
 
 class TorchlightError(Exception):
-    """Base class of everything torchlight raises on purpose."""
+    """Base class of everything torchlight raises on purpose; a line break out of a file or a name becomes a space."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(" ".join(message.splitlines()))
 
 
 class ShapeError(TorchlightError, ValueError):

@@ -13,12 +13,16 @@ import numpy as np
 import torch
 import trimesh
 import yaml
+from safetensors.torch import save
 
 from torchlight.config import Config
 from torchlight.io import cache
+from torchlight.io.coefficients import write_coefficients
 from torchlight.io.config_file import as_yaml
-from torchlight.io.exr import write_exr
+from torchlight.io.exr import write_channels, write_exr
 from torchlight.io.rgbe import write_hdr
+from torchlight.light.grids import LatlongGrid
+from torchlight.light.sampled import SampledLight
 
 KEY = "0" * 64
 SCENE = """units: mm
@@ -81,6 +85,15 @@ distortion_coefficients: !!opencv-matrix
    dt: d
    data: [ 0., 0., 0., 0., 0. ]
 """
+SWEEP = """seed: 1
+search: {kind: optuna, trials: 4, together: 2}
+base: {light: {method: adaptive, resolution: 8}}
+axes:
+  adaptive.noise: [null, 0.01]
+  light.resolution: {low: 8, high: 32, log: true}
+data: {synthetic: {lights: [sun_and_window], samples: 8, seen: {}, held_out: [{translation: [1, 0]}]}}
+"""
+SUMMARY = {"torchlight": "0", "photo": "a.jpg", "method": "texels", "warnings": [], "fit_rms_255": 1.5}
 RECORD = {"name": "a", "entry": "1", "state": "failed", "reason": "a.jpg: truncated"}
 
 
@@ -97,6 +110,8 @@ def texts() -> dict[str, bytes]:
         "transforms.json": json.dumps(TRANSFORMS),
         "camera.yml": OPENCV,
         "cameras.txt": "# CAMERA_ID, MODEL\n1 OPENCV 24 16 30 30 12 8 0.1 0 0 0\n",
+        "sweep.yaml": SWEEP,
+        "result.json": json.dumps(SUMMARY),
         "response.json": json.dumps({name: [0.0, 0.25, 0.5, 1.0] for name in ("red", "green", "blue")}),
         "journal.jsonl": json.dumps(RECORD) + "\n" + json.dumps({**RECORD, "name": "b", "state": "done"}) + "\n",
         "batch.json": json.dumps({"configuration": yaml.safe_load(as_yaml(Config())), "versions": {}}),
@@ -120,7 +135,22 @@ def pictures(folder: Path) -> dict[str, bytes]:
     write_exr(folder / "light.exr", light, {"convention": "torchlight", "light_plane": {"height": 2, "center": [0, 0]}})
     write_exr(folder / "grey.exr", light[:1], {})
     write_hdr(folder / "light.hdr", light)
-    return found | {name: (folder / name).read_bytes() for name in ("light.exr", "grey.exr", "light.hdr")}
+    write_exr(folder / "angular.exr", light[..., :8], {"convention": "angular", "primaries": "acescg"})
+    write_hdr(folder / "cross.hdr", light[..., :6])
+    written = ("light.exr", "grey.exr", "light.hdr", "angular.exr", "cross.hdr")
+    return found | {name: (folder / name).read_bytes() for name in written}
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """Returns the valid inputs that an estimate and an analysis write beside the light; written into a folder first."""
+    share = torch.from_numpy(np.random.default_rng(2).random((8, 16))).float()
+    write_channels(folder / "confidence.exr", {"observability": share, "deviation.R": share}, {})
+    write_exr(folder / "observability.exr", share[None], {"R": "resolution matrix"})
+    light = SampledLight(share.flatten().expand(3, -1).contiguous(), LatlongGrid(8), True)
+    write_coefficients(folder / "light.json", light, 2, {}, cosine_convolved=True, primaries="acescg")
+    tensors = {"coefficients": torch.arange(6.0).reshape(3, 2)}
+    written = ("confidence.exr", "observability.exr", "light.json")
+    return {name: (folder / name).read_bytes() for name in written} | {"estimate.safetensors": save(tensors)}
 
 
 def encoded(suffix: str, pixels: np.ndarray) -> bytes:
@@ -147,4 +177,4 @@ def cached(folder: Path) -> dict[str, bytes]:
 
 def seeds(folder: Path) -> dict[str, bytes]:
     """Returns every valid input by its file name; they name each other as files of one folder."""
-    return texts() | pictures(folder) | meshes() | cached(folder)
+    return texts() | pictures(folder) | results(folder) | meshes() | cached(folder)

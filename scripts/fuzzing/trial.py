@@ -19,11 +19,14 @@ from torchlight.io.cameras import read_lens, read_poses
 from torchlight.io.config_file import read_config
 from torchlight.io.images import image_size, read_photo
 from torchlight.io.journal import records
-from torchlight.io.lights import read_light
+from torchlight.io.lights import read_light, read_stored
 from torchlight.io.manifest import as_row, read_entries
 from torchlight.io.meshes import read_mesh
+from torchlight.io.observability_file import read_observability
 from torchlight.io.response_file import read_response
+from torchlight.io.result_folder import read_result
 from torchlight.io.scene_file import load_scene
+from torchlight.io.sweep_file import read_sweep
 from torchlight.io.target_file import read_target
 from torchlight.io.views_file import read_views
 
@@ -66,6 +69,11 @@ def read_cached(path: Path) -> None:
         cache.load(path.stem)
 
 
+def read_folder(path: Path) -> None:
+    """Reads the result of an estimate, of whose files this is one."""
+    read_result(path.parent)
+
+
 def read_transforms(path: Path) -> None:
     """Reads lens and poses."""
     read_poses(path)
@@ -84,12 +92,18 @@ BY_NAME: Mapping[str, tuple[Callable[[Path], Any], ...]] = {
     "camera.yml": (read_lens,),
     "cameras.txt": (read_lens,),
     "response.json": (read_response,),
+    "sweep.yaml": (read_sweep,),
+    "light.json": (read_light, read_stored),
+    "result.json": (read_folder,),
+    "estimate.safetensors": (read_folder,),
+    "confidence.exr": (read_observability,),
+    "observability.exr": (read_observability,),
     "journal.jsonl": (read_journal,),
     "batch.json": (read_object,),
 }
 BY_SUFFIX: Mapping[str, tuple[Callable[[Path], Any], ...]] = {
     **dict.fromkeys((".png", ".jpg", ".tiff", ".bmp"), (read_picture,)),
-    **dict.fromkeys((".exr", ".hdr"), (read_picture, read_light)),
+    **dict.fromkeys((".exr", ".hdr"), (read_picture, read_light, read_stored)),
     **dict.fromkeys((".ply", ".obj", ".off", ".stl", ".glb", ".gltf"), (read_mesh,)),
     ".safetensors": (read_cached,),
 }

@@ -22,10 +22,16 @@ def read_observability(path: Path) -> Float[Tensor, "height width"]:
     file = observability_beside(path) if path.is_dir() else path
     if file is None:
         raise FormatError(f"{path}: holds neither {CONFIDENCE} nor {OBSERVABILITY}; torchlight estimate writes the one")
-    if file.name == CONFIDENCE:
-        return read_channel(file, "observability")
+    observability = read_channel(file, "observability") if file.name == CONFIDENCE else _of_analysis(file)
+    if observability.shape[1] != 2 * observability.shape[0]:
+        height, width = observability.shape
+        raise FormatError(f"{file}: an observability map is twice as wide as high, this one is {width} x {height}")
+    return observability
+
+
+def _of_analysis(file: Path) -> Float[Tensor, "height width"]:
     image, metadata = read_exr(file)
-    if not str(metadata.get("R", "")).startswith("resolution") or image.shape[-1] != 2 * image.shape[-2]:
+    if not str(metadata.get("R", "")).startswith("resolution"):
         raise FormatError(f"{file}: not an observability map; name the {OBSERVABILITY} of torchlight analyze")
     return image[0]
 

@@ -10,7 +10,7 @@ from typing import Any
 from torchlight.errors import ConfigError
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.io import fields
-from torchlight.io.fields import Field
+from torchlight.io.fields import Field, shown
 from torchlight.io.files import read_bytes, sha256_of
 
 SUN_AND_WINDOW = "sun_and_window"
@@ -182,7 +182,7 @@ def matching(field: Field, folder: Path) -> list[Source]:
     else:
         found = sorted(path for path in folder.glob(text) if path.is_file())
     if not found:
-        field.fail(f"no file matches '{text}' in {folder}")
+        field.fail(f"no file matches {shown(text)} in {folder}")
     return [source_of(path) for path in found]
 
 
