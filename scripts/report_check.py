@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import chdir
 from io import BytesIO
 from pathlib import Path
 
@@ -31,7 +32,7 @@ def main(out: Path = Path("docs/images")) -> None:
     """
     with tempfile.TemporaryDirectory() as name:
         top = made(Path(name))
-        one = top.parent / "lights/photos/1000/report.html"
+        one = top.parent / "photos/1000/report.html"
         with browser() as page:
             for path, check in ((one, check_photo), (top, check_table)):
                 check_page(page, path, check)
@@ -46,13 +47,14 @@ def made(folder: Path) -> Path:
     (folder / "block.yaml").write_text(SCENE)
     (folder / "day").mkdir()
     photograph(folder / "day")
-    call = ["batch", str(folder / "day/*.png"), "--scene", str(folder / "block.yaml"), "--workers", "0"]
+    call = ["batch", "day/*.png", "--scene", "block.yaml", "--out", "lights", "--workers", "0"]
     call += ["--skip-near-test", "--functions", "150"]
-    try:
-        torchlight([*call, "--out", str(folder / "lights")])
-    except SystemExit as ended:
-        if ended.code != 1:  # one photograph is to fail
-            raise
+    with chdir(folder):  # the page shows names as they were given
+        try:
+            torchlight(call)
+        except SystemExit as ended:
+            if ended.code != 1:  # one photograph is to fail
+                raise
     return folder / "lights/report.html"
 
 
