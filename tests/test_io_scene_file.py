@@ -159,7 +159,9 @@ def test_files_that_are_not_scenes(tmp_path: Path) -> None:
     refused(tmp_path, "a: b: c\n", FormatError, "line 1: not valid YAML")
     refused(tmp_path, "a: \x07\n", FormatError, "not valid YAML")
     refused(tmp_path, BLOCK + "---\n" + BLOCK, FormatError, "not valid YAML")
-    refused(tmp_path, "[" * 5000, FormatError, "nested too deeply")
+    refused(tmp_path, "[" * 5000, ConfigError, "line 1: nested more than 32 deep")
+    refused(tmp_path, "- " * 33 + "x\n", ConfigError, "line 1: nested more than 32 deep")
+    refused(tmp_path, "- " * 31 + "x\n", ConfigError, "expected a mapping")
     (tmp_path / "scene.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff")
     with pytest.raises(FormatError, match=r"scene\.png: not a text file"):
         load_scene(tmp_path / "scene.png")
@@ -190,6 +192,9 @@ def test_aliases_are_limited(tmp_path: Path) -> None:
     refused(tmp_path, bomb, ConfigError, "more than 32 aliases")
     doubling = "units: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]\n" for n in range(1, 17))
     refused(tmp_path, doubling, ConfigError, "unknown key")
+    chain = "a0: &a0 " + "[" * 29 + "]" * 29 + "\n"
+    chain += "".join(f"a{n}: &a{n} {'[' * 29}*a{n - 1}{']' * 29}\n" for n in range(1, 32))
+    refused(tmp_path, chain, ConfigError, "unknown key")
     refused(tmp_path, "units: &a [*a]\n" + BLOCK + RECEIVER, ConfigError, "units: expected text")
 
 

@@ -17,6 +17,7 @@ from torchlight.io.files import one_line, read_bytes
 
 MAX_YAML_BYTES = 1 << 18  # a thousand occluders; more takes the parser many seconds
 MAX_ALIASES = 32
+MAX_DEPTH = 32
 
 
 def read_yaml(path: str | Path) -> tuple[object, bytes]:
@@ -24,7 +25,7 @@ def read_yaml(path: str | Path) -> tuple[object, bytes]:
 
     Raises:
         FormatError: missing, not text, empty or not YAML.
-        ConfigError: tags, duplicate keys or too many aliases.
+        ConfigError: tags, duplicate keys, too many aliases or nested too deep.
     """
     data = read_bytes(path, MAX_YAML_BYTES)
     try:
@@ -59,6 +60,7 @@ class _StrictLoader(yaml.SafeLoader):
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
         self._aliases = 0
+        self._depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event: Any = self.peek_event()
@@ -71,7 +73,12 @@ class _StrictLoader(yaml.SafeLoader):
             raise _RefusedError(
                 f"the tag {one_line(event.tag, 60)} is not allowed; write plain values", event.start_mark
             )
-        return super().compose_node(parent, index)
+        if self._depth >= MAX_DEPTH:
+            raise _RefusedError(f"nested more than {MAX_DEPTH} deep", event.start_mark)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
@@ -114,7 +121,7 @@ def _line(error: BaseException) -> str:
 
 def _problem(error: BaseException) -> str:
     if isinstance(error, RecursionError):
-        return "nested too deeply"
+        return "nested too deeply"  # through aliases, each in a node that the next names
     if isinstance(error, yaml.MarkedYAMLError) and error.problem:
         return one_line(error.problem)
     return one_line(str(error))
