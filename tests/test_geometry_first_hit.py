@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from torchlight.errors import TorchlightWarning
+from torchlight.geometry import embree as embree_module
 from torchlight.geometry import first_hit, visibility
 from torchlight.geometry.primitives import box, sphere
 
@@ -64,7 +65,7 @@ def test_embree_sees_what_its_twin_sees() -> None:
 
 
 def test_without_embree_the_twin_answers_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(first_hit, "backend", lambda: "raycast")
+    monkeypatch.setattr(embree_module, "backend", lambda: "raycast")
     with pytest.warns(TorchlightWarning, match="slow torch ray caster"):
         eye = first_hit.first_hit(box((1.0, 1.0, 0.5)), BOUNDS)
     down = torch.tensor([[0.0, 0.0, -1.0]], dtype=torch.float64)

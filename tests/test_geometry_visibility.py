@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from torchlight.errors import ConfigError, TorchlightWarning
+from torchlight.geometry import embree as embree_module
 from torchlight.geometry import primitives, visibility
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
@@ -222,9 +223,9 @@ def test_without_embree_the_twin_is_used_and_says_so(monkeypatch: pytest.MonkeyP
     triangles, bounds = primitives.box((1.0, 0.6, 1.2)), torch.tensor([[-2.0, -2, 0], [2, 2, 0]])
     points, directions = plane_grid(4.0, 23), upward(torch.Generator().manual_seed(2), 10).numpy()
     expected = occlusion_test(triangles, bounds).hidden_on_plane(points, directions, np.zeros((10, 2)))
-    assert visibility.backend() == "embree"
-    monkeypatch.setattr(visibility, "rtcore_scene", None)
-    assert visibility.backend() == "raycast"
+    assert embree_module.backend() == "embree"
+    monkeypatch.setattr(embree_module, "rtcore_scene", None)
+    assert embree_module.backend() == "raycast"
     with pytest.warns(TorchlightWarning, match="Embree is not installed .* the slow torch ray caster is used"):
         test = occlusion_test(triangles, bounds)
     np.testing.assert_array_equal(test.hidden_on_plane(points, directions, np.zeros((10, 2))), expected)

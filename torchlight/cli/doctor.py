@@ -7,7 +7,7 @@ from importlib.metadata import distributions
 import torch
 
 from torchlight.cli import arguments
-from torchlight.geometry.visibility import backend
+from torchlight.geometry.embree import backend
 from torchlight.io import cache
 from torchlight.results import versions
 from torchlight.threads import thread_count

@@ -88,6 +88,30 @@ def header(light: EnvironmentMap, lamps: Sequence[Lamp], axes: str, strength: st
     return [*lines, near_line(light)] if light.plane is not None else lines
 
 
+def python_reader(
+    light: EnvironmentMap, lamps: Sequence[Lamp], strength: float, convention: str, script: str, axes: str
+) -> tuple[dict[str, Picture], dict[str, str]]:
+    """Returns light_CONVENTION.exr and light_CONVENTION.py, a module that reads it, each by its name.
+
+    Args:
+        light: without the lamps. Negative radiance is kept.
+        lamps: listed in the module.
+        strength: written into the module.
+        convention: of the picture.
+        script: the module, with places for module, picture, header, strength and lamps.
+        axes: which way they go here.
+    """
+    stem = f"light_{convention}"
+    text = script.format(
+        module=stem,
+        picture=f"{stem}.exr",
+        header="\n".join(header(light, lamps, axes, "STRENGTH")),
+        strength=number(strength),
+        lamps=lamp_tuples(lamps),
+    )
+    return {f"{stem}.exr": latlong_picture(light, convention)}, {f"{stem}.py": text}
+
+
 def commented(lines: Sequence[str], mark: str) -> str:
     """Returns lines as comments."""
     return "".join(f"{mark} {line}\n" for line in lines)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchlight.export.handover import AXES, Handover, header, lamp_tuples, latlong_picture, number
+from torchlight.export.handover import AXES, Handover, python_reader
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.lamps import Lamp
 
-PICTURE, TEXT = "light_openexr.exr", "light_openexr.py"
 SCRIPT = '''"""Reads the light: pip install OpenEXR.
 
     from {module} import radiance
@@ -55,12 +54,5 @@ def openexr(light: EnvironmentMap, lamps: Sequence[Lamp] = (), strength: float =
         strength: written into the reader.
     """
     axes = f"The picture has Y up and looks along +Z: OpenEXR's (x, y, z) is (x, z, -y) of world axes that are {AXES}."
-    text = SCRIPT.format(
-        module=TEXT.removesuffix(".py"),
-        picture=PICTURE,
-        header="\n".join(header(light, lamps, axes, "STRENGTH")),
-        strength=number(strength),
-        lamps=lamp_tuples(lamps),
-    )
-    use = f"from {TEXT[:-3]} import radiance"
-    return Handover({PICTURE: latlong_picture(light, "openexr")}, {TEXT: text}, use)
+    pictures, texts = python_reader(light, lamps, strength, "openexr", SCRIPT, axes)
+    return Handover(pictures, texts, "from light_openexr import radiance")

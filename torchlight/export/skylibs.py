@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchlight.export.handover import AXES, Handover, header, lamp_tuples, latlong_picture, number
+from torchlight.export.handover import AXES, Handover, python_reader
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.lamps import Lamp
 
-PICTURE, TEXT = "light_skylibs.exr", "light_skylibs.py"
 SCRIPT = '''"""Loads the light: pip install skylibs.
 
     from {module} import load, radiance
@@ -55,12 +54,5 @@ def skylibs(light: EnvironmentMap, lamps: Sequence[Lamp] = (), strength: float =
         strength: written into the loader.
     """
     axes = f"The picture has Y up and looks along -Z: skylibs' (x, y, z) is (x, z, -y) of world axes that are {AXES}."
-    text = SCRIPT.format(
-        module=TEXT.removesuffix(".py"),
-        picture=PICTURE,
-        header="\n".join(header(light, lamps, axes, "STRENGTH")),
-        strength=number(strength),
-        lamps=lamp_tuples(lamps),
-    )
-    use = f"from {TEXT[:-3]} import load"
-    return Handover({PICTURE: latlong_picture(light, "skylibs")}, {TEXT: text}, use)
+    pictures, texts = python_reader(light, lamps, strength, "skylibs", SCRIPT, axes)
+    return Handover(pictures, texts, "from light_skylibs import load")

@@ -5,7 +5,6 @@ As for occlusion (`visibility`), the triangles are moved and scaled to the unit 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,19 +13,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchlight.errors import ConfigError, TorchlightWarning
-from torchlight.geometry.visibility import (
-    EMBREE_FAR,
-    PAIRS_PER_CALL,
-    UnitFrame,
-    backend,
-    unit_frame,
-)
-
-try:
-    from embreex import mesh_construction, rtcore_scene
-except ImportError:  # no wheel for this platform: the torch twin is the stated fallback
-    mesh_construction = rtcore_scene = None
+from torchlight.geometry.embree import FAR, embree_scene, is_here_or_warns
+from torchlight.geometry.visibility import PAIRS_PER_CALL, UnitFrame, unit_frame
 
 Nearest = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
@@ -82,23 +70,16 @@ def first_hit(triangles: Float[Tensor, "faces 3 3"], bounds: Float[Tensor, "poin
     if len(triangles) == 0:
         return FirstHit(unit_frame(points if len(points) > 0 else points.new_zeros(1, 3)), _nothing)
     frame = unit_frame(points)
-    if backend() == "raycast":
-        message = "Embree is not installed (no embreex wheel for this platform): the slow torch ray caster is used"
-        warnings.warn(message, TorchlightWarning, stacklevel=2)
-        return FirstHit(frame, nearest_by_torch(triangles, frame))
-    return FirstHit(frame, nearest_by_embree(triangles, frame))
+    nearest = nearest_by_embree if is_here_or_warns() else nearest_by_torch
+    return FirstHit(frame, nearest(triangles, frame))
 
 
 def nearest_by_embree(triangles: Float[Tensor, "faces 3 3"], frame: UnitFrame) -> Nearest:
     """Returns the test by Embree (float32, one thread per call, safe to call from several threads)."""
-    if rtcore_scene is None or mesh_construction is None:
-        raise ConfigError("Embree is not installed: no embreex wheel exists for this platform; use `nearest_by_torch`")
-    scene = rtcore_scene.EmbreeScene()
-    corners = frame.to_unit(triangles.double().cpu().numpy())
-    mesh_construction.TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
+    scene = embree_scene(frame.to_unit(triangles.double().cpu().numpy()), "nearest_by_torch")
 
     def nearest(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        found = scene.run(origins, directions, EMBREE_FAR, query="INTERSECT", output=True)
+        found = scene.run(origins, directions, FAR, query="INTERSECT", output=True)
         return found["tfar"], found["primID"], np.stack([found["u"], found["v"]], axis=1)
 
     return nearest

@@ -7,7 +7,6 @@ is first moved and scaled to the unit box, because Embree works in float32, and 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,19 +15,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchlight.errors import ConfigError, TorchlightWarning
+from torchlight.geometry.embree import FAR, OCCLUDED, embree_scene, is_here_or_warns
 from torchlight.geometry.receiver import receiver_corners
 from torchlight.geometry.scene import Scene
 
-try:
-    from embreex import mesh_construction, rtcore_scene
-except ImportError:  # no wheel for this platform: the torch twin is the stated fallback
-    mesh_construction = rtcore_scene = None
-
 LIFT = 2e-6
 PAIRS_PER_CALL = 1_000_000  # rays x triangles at once in the torch twin, about 150 MB
-EMBREE_OCCLUDED = 0
-EMBREE_FAR = 1e37  # its own default for rays without an end
 
 RayTest = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 
@@ -100,11 +92,6 @@ def unit_frame(points: Float[Tensor, "points 3"]) -> UnitFrame:
     return UnitFrame((middle[0], middle[1], middle[2]), 1.0 / extent if extent > 0 else 1.0)
 
 
-def backend() -> str:
-    """Returns the name of the visibility backend in use: "embree", or "raycast" where Embree has no wheel."""
-    return "raycast" if rtcore_scene is None else "embree"
-
-
 def scene_occlusion(scene: Scene) -> OcclusionTest:
     """Returns the occlusion test of a scene's occluders, framed together with its receiver."""
     return occlusion_test(scene.triangles, receiver_corners(scene.receiver))
@@ -120,23 +107,16 @@ def occlusion_test(triangles: Float[Tensor, "faces 3 3"], bounds: Float[Tensor, 
     frame = unit_frame(torch.cat([triangles.reshape(-1, 3), bounds.to(triangles)]))
     if len(triangles) == 0:
         return OcclusionTest(frame, lambda origins, directions, reach: np.zeros(len(origins), dtype=bool))
-    if backend() == "raycast":
-        message = "Embree is not installed (no embreex wheel for this platform): the slow torch ray caster is used"
-        warnings.warn(message, TorchlightWarning, stacklevel=2)
-        return OcclusionTest(frame, raycast(triangles, frame))
-    return OcclusionTest(frame, embree(triangles, frame))
+    tested = embree if is_here_or_warns() else raycast
+    return OcclusionTest(frame, tested(triangles, frame))
 
 
 def embree(triangles: Float[Tensor, "faces 3 3"], frame: UnitFrame) -> RayTest:
     """Returns the ray test by Embree (float32, one thread per call, safe to call from several threads)."""
-    if rtcore_scene is None or mesh_construction is None:
-        raise ConfigError("Embree is not installed: no embreex wheel exists for this platform; use `raycast`")
-    scene = rtcore_scene.EmbreeScene()
-    corners = frame.to_unit(triangles.double().cpu().numpy())
-    mesh_construction.TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
+    scene = embree_scene(frame.to_unit(triangles.double().cpu().numpy()), "raycast")
 
     def hits(origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
-        return scene.run(origins, directions, min(reach, EMBREE_FAR), query="OCCLUDED") == EMBREE_OCCLUDED
+        return scene.run(origins, directions, min(reach, FAR), query="OCCLUDED") == OCCLUDED
 
     return hits
 
