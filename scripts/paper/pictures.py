@@ -16,7 +16,9 @@ from torch import Tensor
 
 from torchlight import fates as fates_of
 from torchlight import metrics
-from torchlight.figures import DIVERGING, png_bytes, to_srgb8
+from torchlight.drawing.canvas import png_bytes
+from torchlight.drawing.content import DIVERGING
+from torchlight.drawing.fates import draw_borders
 from torchlight.inversion.quadtree import quadtree
 from torchlight.light.bases import SphericalHarmonics
 from torchlight.light.environment import EnvironmentMap, luminance
@@ -24,6 +26,7 @@ from torchlight.light.haar import block_synthesis
 from torchlight.light.overlap import latlong_to_texels
 from torchlight.light.synthesis import without_rounding
 from torchlight.photo.observation import Observation
+from torchlight.preview import to_srgb8
 
 from .measure import Transfers, relit
 from .methods import GAIN, Found
@@ -123,7 +126,7 @@ def draw_lights(axes: Sequence[Axes], light: EnvironmentMap, seen: Exposed, foun
         axis.set_title(f"{name}{negative}", fontsize=10)
         if one.refinement is not None:
             tree = quadtree(one.basis.resolution)
-            fates_of.draw_leaves(axis, tree, one.refinement.kept[1], colour="0.6")
+            draw_borders(axis, fates_of.borders(tree, one.refinement.kept[1]).numpy(), colour="0.6")
 
 
 def shown_texels(found: Found) -> tuple[Float[Tensor, "3 texels"], int]:

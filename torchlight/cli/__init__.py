@@ -15,7 +15,7 @@ import tyro
 
 from torchlight.cli import arguments
 from torchlight.cli.config_option import expanded
-from torchlight.cli.loading import begin, loaded
+from torchlight.cli.loading import begin, end, loaded
 from torchlight.cli.spelling import spelled_out
 from torchlight.cli.usage import complaint_in_one_line
 from torchlight.errors import TorchlightError
@@ -38,6 +38,7 @@ def program() -> None:
     codes: list[int] = []
 
     def leave() -> None:
+        end()
         if codes:
             with suppress(OSError):  # nobody reads it any more
                 sys.stdout.flush()
