@@ -15,7 +15,7 @@ import tyro
 
 from torchlight.cli import arguments
 from torchlight.cli.config_option import expanded
-from torchlight.cli.loading import begin, end, loaded
+from torchlight.cli.loading import TYPEGUARD, begin, end, loaded, postponed
 from torchlight.cli.spelling import spelled_out
 from torchlight.cli.usage import complaint_in_one_line
 from torchlight.errors import TorchlightError
@@ -100,7 +100,7 @@ def parsed_alone(words: Sequence[str]) -> arguments.Command | None:
     if not words or words[0] not in kinds or {"-h", "--help"} & set(words):
         return None
     try:
-        with redirect_stderr(StringIO()):
+        with redirect_stderr(StringIO()), postponed("typeguard", TYPEGUARD):
             return tyro.cli(tyro.conf.FlagCreatePairsOff[kinds[words[0]]], args=words[1:])  # pyright: ignore
     except SystemExit:
         return None

@@ -11,9 +11,11 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Thread
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 SOLVING = ("estimate", "batch", "joint", "demo", "sweep")
+# tyro checks the defaults of options by it, which is for tests to do: a twentieth of a second to import
+TYPEGUARD = SimpleNamespace(check_type=lambda value, kind: value, TypeCheckError=TypeError)
 DRAWING = "torchlight.drawing.elsewhere"
 # what torch does to tensors without values ("meta"), for its compilers: a third of its import, and nothing here asks
 UNASKED = "torch._meta_registrations"
@@ -91,17 +93,23 @@ def hidden(module: str) -> Iterator[None]:
 
 
 @contextmanager
-def postponed(module: str) -> Iterator[None]:
-    """Lets a module of a package be empty while others are imported that ask for it; who asks later gets it whole."""
+def postponed(module: str, instead: object = None) -> Iterator[None]:
+    """Gives who imports a module meanwhile an empty one, or what is to stand in for it; who asks later gets it whole.
+
+    Args:
+        module: its full name.
+        instead: what stands in.
+    """
     if module in sys.modules:
         yield
         return
-    sys.modules[module] = empty = ModuleType(module)
+    instead = ModuleType(module) if instead is None else instead
+    sys.modules[module] = instead  # pyright: ignore[reportArgumentType]  (any object will do)
     try:
         yield
     finally:
         package, _, name = module.rpartition(".")
-        if sys.modules.get(module) is empty:
+        if sys.modules.get(module) is instead:
             del sys.modules[module]
-        if getattr(sys.modules.get(package), name, None) is empty:
+        if getattr(sys.modules.get(package), name, None) is instead:
             delattr(sys.modules[package], name)
