@@ -28,7 +28,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     Used above `no_type_check`, so that checkers of annotations leave the function alone.
     """
-    return _announced(njit(nogil=True, cache=True)(function))
+    return _announced(njit(nogil=True)(function))
 
 
 @no_type_check
@@ -38,13 +38,13 @@ def compiled_sums(function: Callable[..., Any]) -> Any:
     Dot products then run at the speed of the processor. The order is fixed when the function is compiled: the same
     numbers in give the same numbers out, whatever the threads, but another processor may round otherwise.
     """
-    return _announced(njit(nogil=True, cache=True, fastmath={"reassoc", "nsz", "contract"})(function))
+    return _announced(njit(nogil=True, fastmath={"reassoc", "nsz", "contract"})(function))
 
 
 @no_type_check
 def _announced(dispatcher: Any) -> Any:
     _kernels.add(dispatcher)
-    dispatcher._cache = Stored(dispatcher.py_func)  # noqa: SLF001  (what its own `enable_caching` does)
+    dispatcher._cache = Stored(dispatcher.py_func)  # what its own `enable_caching` does, with another class
     return dispatcher
 
 
