@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import pickle
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -29,8 +30,10 @@ class Other:
     """A process that draws, and the thread that speaks to it: one picture after another."""
 
     def __init__(self) -> None:
+        # finds modules where this process does: in the working directory only if this one does
+        served = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
         self.process = subprocess.Popen(  # noqa: S603  (this very Python)
-            [sys.executable, "-m", __name__],
+            [sys.executable, "-P", "-c", served],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -46,6 +49,15 @@ class Other:
         except GONE:
             return draw(content)
 
+    def end(self) -> None:
+        """Ends the process, whatever it is at; it would end by itself, but a little after this one."""
+        self.process.kill()
+        self.thread.shutdown(cancel_futures=True)
+        for pipe in (self.process.stdin, self.process.stdout):
+            with suppress(OSError):  # what was asked for and not read
+                pipe.close()  # pyright: ignore[reportOptionalMemberAccess]
+        self.process.wait()
+
 
 def begin() -> None:
     """Begins the process, where there is a processor for it."""
@@ -56,11 +68,9 @@ def begin() -> None:
 
 
 def end() -> None:
-    """Ends the process, whatever it is at; it would end by itself, but a little after this one."""
+    """Ends the process, if there is one."""
     while _begun:
-        process = _begun.pop().process
-        process.kill()
-        process.wait()
+        _begun.pop().end()
 
 
 def begun() -> bool:
@@ -95,14 +105,14 @@ def load() -> None:
 
 
 def serve() -> None:
-    """Draws what comes by standard input until it ends, and writes the pictures to standard output."""
+    """Draws what comes by standard input until it ends, and writes the pictures to standard output.
+
+    Ctrl-C is for the process that began this one, which ends it.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
     load()
     with suppress(EOFError, OSError):  # whoever asked has gone
         while True:
             pickle.dump(draw(pickle.load(sys.stdin.buffer)), sys.stdout.buffer)  # noqa: S301  (of who began this one)
             sys.stdout.buffer.flush()
-
-
-if __name__ == "__main__":
-    serve()
