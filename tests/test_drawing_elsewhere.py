@@ -27,8 +27,7 @@ FIT = FitContent(
 )
 BORDER = np.array([[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]])
 CHANNEL = ChannelFates("red", np.zeros((3, 8), dtype=np.float32), BORDER, ("level", "resolved"), ((0, 1), (1, 8)))
-PLACES = (("+y", 0.0, 0.0, 0.5), ("+z", 1.0, 0.5, 1.0))
-FATES = FatesContent((CHANNEL,), ("#0072B2", "#F3EFD8"), (("#0072B2", "resolved"),), PLACES)
+FATES = FatesContent((CHANNEL,), ("#0072B2", "#F3EFD8"), (("#0072B2", "resolved"),))
 
 
 @pytest.fixture
@@ -72,7 +71,7 @@ def test_the_working_directory_is_not_searched(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.usefixtures("other")
 def test_what_cannot_be_drawn_raises_here() -> None:
-    waiting = elsewhere.drawn(FatesContent((CHANNEL,), ("no colour",), (), PLACES))
+    waiting = elsewhere.drawn(FatesContent((CHANNEL,), ("no colour",), ()))
     with pytest.raises(ValueError, match="no colour"):
         waiting()
 

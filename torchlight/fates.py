@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchlight.drawing.content import ChannelFates, FatesContent
+from torchlight.drawing.content import HEIGHT, PLACES, SIDE_TOP, ChannelFates, FatesContent
 from torchlight.drawing.elsewhere import draw
 from torchlight.inversion.quadtree import Quadtree, quadtree, spread, squares
 from torchlight.inversion.refinement import NAMES, Fate, Refinement, fate_counts, needed
@@ -25,8 +25,6 @@ COLOURS = {  # after Okabe and Ito: told apart with every common colour blindnes
     Fate.UNSOLVED: "#009E73",
 }
 CHANNELS = ("red", "green", "blue")
-PLACES = {"+y": 0, "+x": 1, "-y": 2, "-x": 3, "+z": 1}  # faces to the left of each
-HEIGHT, SIDE_TOP = 1.5, 0.5
 
 
 def fates_picture(refinement: Refinement, resolution: int) -> bytes:
@@ -48,7 +46,6 @@ def fates_content(refinement: Refinement, resolution: int) -> FatesContent:
         tuple(_channel(refinement, resolution, channel) for channel in range(refinement.kept.shape[0])),
         tuple(COLOURS[value] for value in Fate),
         tuple((COLOURS[fate], NAMES[fate]) for fate in Fate if fate in shown),
-        tuple((name, float(left), *_standing(name)) for name, left in PLACES.items()),
     )
 
 
@@ -105,8 +102,3 @@ def outlines(tree: Quadtree, nodes: Int[Tensor, " nodes"]) -> Float[Tensor, "nod
     x = torch.stack([left, left + side, left + side, left, left], dim=-1)
     y = torch.stack([top, top, top - side, top - side, top], dim=-1)
     return torch.stack([x, y], dim=-1)
-
-
-def _standing(name: str) -> tuple[float, float]:
-    """Returns bottom and height of a face: of all but +z only the upper half is shown."""
-    return (SIDE_TOP, 1.0) if name == "+z" else (0.0, SIDE_TOP)

@@ -17,8 +17,8 @@ from torch import Tensor
 from torchlight import fates as fates_of
 from torchlight import metrics
 from torchlight.drawing.canvas import png_bytes
-from torchlight.drawing.content import DIVERGING
-from torchlight.drawing.fates import draw_borders
+from torchlight.drawing.content import DIVERGING, HEIGHT, WIDTH
+from torchlight.drawing.fates import draw_borders, label_faces
 from torchlight.inversion.quadtree import quadtree
 from torchlight.light.bases import SphericalHarmonics
 from torchlight.light.environment import EnvironmentMap, luminance
@@ -148,8 +148,8 @@ def draw_light(axis: Axes, texels: Float[Tensor, "3 texels"], resolution: int, s
     picture = fates_of.unfolded(texels * scale, resolution)
     encoded = to_srgb8(picture.nan_to_num(nan=1.0).float())
     encoded[(luminance(picture.flatten(start_dim=1)) < 0).reshape(picture.shape[1:]).numpy()] = NEGATIVE
-    axis.imshow(encoded, extent=(0, fates_of.WIDTH, 0, fates_of.HEIGHT), interpolation="nearest")
-    fates_of.label_faces(axis)
+    axis.imshow(encoded, extent=(0, WIDTH, 0, HEIGHT), interpolation="nearest")
+    label_faces(axis)
 
 
 def draw_plane(axis: Axes, values: Float[Tensor, "3 points"], used: Tensor, title: str) -> None:

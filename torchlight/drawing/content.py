@@ -9,6 +9,9 @@ from jaxtyping import Bool, Float
 
 UNUSED = 0.55  # grey of samples that were not used
 DIVERGING = "PuOr"  # readable with every common colour blindness
+# the unfolded faces, of side 1: the upper halves of four side by side, and +z above +x, whose top edge it shares
+PLACES = {"+y": 0, "+x": 1, "-y": 2, "-x": 3, "+z": 1}  # faces to the left of each
+WIDTH, HEIGHT, SIDE_TOP = 4.0, 1.5, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +81,11 @@ class FatesContent:
         channels: from top to bottom.
         colours: of the fates, by index.
         legend: colour and name of those that occur.
-        places: name, left, bottom and height of each face, whose width is 1.
     """
 
     channels: tuple[ChannelFates, ...]
     colours: tuple[str, ...]
     legend: tuple[tuple[str, str], ...]
-    places: tuple[tuple[str, float, float, float], ...]
 
 
 Content = FitContent | FatesContent

@@ -14,11 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from torchlight.drawing.canvas import add_axes, png_bytes
-from torchlight.drawing.content import ChannelFates, FatesContent
+from torchlight.drawing.content import HEIGHT, PLACES, SIDE_TOP, WIDTH, ChannelFates, FatesContent
 
 FACES_INCHES, CHANNEL_INCHES, LEGEND_INCHES = 2.6, 2.95, 0.45
 HEAD_ROWS, LEAST_ROWS = 1.8, 11.0  # of the table: its head counts as so many; fewer rows are not drawn taller
-STANDING = "+z"  # the face that is shown whole, above the others' upper halves
 
 
 def draw_fates(content: FatesContent) -> bytes:
@@ -40,11 +39,9 @@ def draw_faces(axis: Axes, channel: ChannelFates, content: FatesContent) -> None
     """Draws the fates of one channel and the borders of the squares on which its light is constant."""
     colours = ListedColormap(list(content.colours))
     limits = BoundaryNorm(np.arange(len(content.colours) + 1) - 0.5, len(content.colours))
-    width = max(left + 1 for _, left, _, _ in content.places)
-    height = max(bottom + tall for _, _, bottom, tall in content.places)
-    axis.imshow(channel.faces, extent=(0, width, 0, height), cmap=colours, norm=limits, interpolation="nearest")
+    axis.imshow(channel.faces, extent=(0, WIDTH, 0, HEIGHT), cmap=colours, norm=limits, interpolation="nearest")
     draw_borders(axis, channel.borders)
-    label_faces(axis, content.places, (width, height))
+    label_faces(axis)
 
 
 def draw_borders(axis: Axes, borders: Float[np.ndarray, "squares 5 2"], colour: str = "0.35") -> None:
@@ -66,11 +63,12 @@ def draw_table(axis: Axes, head: Sequence[str], rows: Sequence[Sequence[int]]) -
     axis.hlines([0, *(HEAD_ROWS + level for level in range(len(rows) + 1))], 0, len(head), color="0.8", linewidth=1)
 
 
-def label_faces(axis: Axes, places: Sequence[tuple[str, float, float, float]], size: tuple[float, float]) -> None:
+def label_faces(axis: Axes) -> None:
     """Frames and names the faces, and takes the axes away."""
-    for name, left, bottom, height in places:
+    for name, left in PLACES.items():
+        bottom, height = (SIDE_TOP, 1.0) if name == "+z" else (0.0, SIDE_TOP)
         axis.add_patch(Rectangle((left, bottom), 1, height, fill=False, edgecolor="black", linewidth=0.9))
-        below = name != STANDING
+        below = name != "+z"
         axis.annotate(
             name,
             (left + (0.5 if below else 0.0), bottom + (0.0 if below else 0.5)),
@@ -80,7 +78,7 @@ def label_faces(axis: Axes, places: Sequence[tuple[str, float, float, float]], s
             va="top" if below else "center",
             fontsize=8,
         )
-    axis.set_xlim(-0.02, size[0] + 0.02)
-    axis.set_ylim(-0.12, size[1] + 0.02)
+    axis.set_xlim(-0.02, WIDTH + 0.02)
+    axis.set_ylim(-0.12, HEIGHT + 0.02)
     axis.set_aspect("equal")
     axis.set_axis_off()

@@ -7,7 +7,7 @@ import itertools
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgba
+from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -30,8 +30,8 @@ def draw_fit(content: FitContent) -> bytes:
     for axis, left_out in itertools.product((axes[0], axes[2]), content.left_out):
         axis.imshow(_layer(left_out), extent=extent, interpolation="nearest", zorder=2)
     colours = mpl.colormaps[DIVERGING].with_extremes(bad=(UNUSED, UNUSED, UNUSED))
-    limits = {"vmin": -content.limit, "vmax": content.limit}
-    image = axes[2].imshow(content.difference, extent=extent, cmap=colours, **limits, interpolation="nearest")
+    limits = Normalize(-content.limit, content.limit)
+    image = axes[2].imshow(content.difference, extent=extent, cmap=colours, norm=limits, interpolation="nearest")
     _label(axes[2], f"{content.names[1]} - {content.names[0]} (luminance)", content.units)
     for axis in axes[1:]:
         axis.tick_params(labelleft=False)

@@ -25,7 +25,7 @@ def table(name: str) -> NDArray[np.uint8]:
     """Returns the 256 colours of SEQUENTIAL or of DIVERGING."""
     levels = np.arange(256, dtype=np.uint8)
     if name == SEQUENTIAL:
-        return cv2.applyColorMap(levels[:, None], cv2.COLORMAP_CIVIDIS)[:, 0, ::-1]
+        return np.asarray(cv2.applyColorMap(levels[:, None], cv2.COLORMAP_CIVIDIS)[:, 0, ::-1], dtype=np.uint8)
     given = np.array([tuple(bytes.fromhex(colour)) for colour in PUOR.split()])
     places = np.linspace(0, 255, len(given))
     return np.stack([np.interp(levels, places, part) for part in given.T], axis=1).round().astype(np.uint8)
