@@ -88,6 +88,12 @@ def test_the_stand_in_is_a_module_for_the_moment_only() -> None:
             sys.modules["typeguard"] = known
 
 
+def test_ctrl_c_at_the_very_start_is_one_line() -> None:
+    code = "from torchlight import cli\ndef begin(words): raise KeyboardInterrupt\ncli.begin = begin; cli.program()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "torchlight: interrupted; nothing was started\n")
+
+
 def test_a_command_that_cannot_start_leaves_no_process(tmp_path: Path) -> None:
     """Its pipe to standard output closes with it: nothing else holds it open."""
     code = "from torchlight.cli import program; program()"

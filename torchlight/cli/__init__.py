@@ -46,9 +46,12 @@ def program() -> None:
             os._exit(codes[0])
 
     atexit.register(leave)  # before all others, so called after them
-    begin(sys.argv[1:])
     try:
+        begin(sys.argv[1:])
         main()
+    except KeyboardInterrupt:  # while arguments were read
+        fail("interrupted; nothing was started")
+        codes.append(INTERRUPTED)
     except SystemExit as stop:
         if isinstance(stop.code, int):
             codes.append(stop.code)

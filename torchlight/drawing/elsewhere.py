@@ -33,7 +33,7 @@ class Other:
         # finds modules where this process does: in the working directory only if this one does
         served = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
         self.process = subprocess.Popen(  # noqa: S603  (this very Python)
-            [sys.executable, "-P", "-c", served],
+            [sys.executable, "-c", served],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
