@@ -16,11 +16,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchlight.figures import to_srgb8
 from torchlight.light.formats import grid_for, is_latlong, to_picture
 from torchlight.light.grids import Grid
 from torchlight.light.procedural import axis_faces
 from torchlight.light.sampled import converted
+from torchlight.preview import to_srgb8
 
 SIZES = {"angular": 401, "cross": 101, "horizontal-cross": 101, "strip": 101, "opengl-strip": 101}
 LATLONG = 200

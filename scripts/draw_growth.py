@@ -15,7 +15,7 @@ from draw_performance import DOCS, rows
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchlight.figures import png_bytes
+from torchlight.drawing.canvas import png_bytes
 from torchlight.io.atomic import write_atomically
 
 COLOURS = {"transport": "#0072B2", "non-negative solve": "#D55E00"}  # after Okabe and Ito

@@ -15,10 +15,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from torchlight.figures import to_srgb8
 from torchlight.light import cubemap
 from torchlight.light.formats import to_latlong
 from torchlight.light.procedural import axis_colours
+from torchlight.preview import to_srgb8
 
 RED, GREEN = "#D55E00", "#009E73"
 RESOLUTION = 4

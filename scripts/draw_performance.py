@@ -19,7 +19,7 @@ import tyro
 from bench.measuring import markdown
 from matplotlib.figure import Figure
 
-from torchlight.figures import png_bytes
+from torchlight.drawing.canvas import png_bytes
 from torchlight.io.atomic import write_atomically
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

@@ -18,13 +18,13 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torchlight.demo import FIRST_POSE, RECEIVER
-from torchlight.figures import to_srgb8
 from torchlight.geometry.footprints import visible_samples
 from torchlight.light import cubemap
 from torchlight.light.directions import to_angles
 from torchlight.light.overlap import latlong_to_texels
 from torchlight.light.procedural import sun_and_window
 from torchlight.precomputation import DIRECTIONS_PER_EDGE
+from torchlight.preview import to_srgb8
 from torchlight.synthetic import block_scene, receiver_image
 from torchlight.transfer import transport
 

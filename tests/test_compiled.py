@@ -52,6 +52,12 @@ def test_the_first_compilation_alone_is_announced(python: Callable[[str], list[s
     assert python(LISTENED + CALLED.format("1j", "2 + 2j")) == [said]  # of a type that is not there
 
 
+def test_what_only_a_compiler_must_know_is_loaded_for_a_compilation_only(python: Callable[[str], list[str]]) -> None:
+    known = "import sys; assert ('numba.typed.typedlist' in sys.modules) is {}\n"
+    python(CALLED.format(2, 6))
+    python(CALLED.format(2, 6) + known.format(False) + CALLED.format(2.5, 7.0) + known.format(True))
+
+
 def test_a_library_is_silent(python: Callable[[str], list[str]]) -> None:
     assert python(CALLED.format(2, 6)) == []
 

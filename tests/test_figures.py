@@ -13,7 +13,7 @@ from PIL import Image
 from torch import Tensor
 from torch.testing import assert_close
 
-from torchlight import figures
+from torchlight import figures, fit
 from torchlight.geometry.receiver import Receiver
 from torchlight.light.environment import EnvironmentMap
 from torchlight.photo.observation import Observation, Rejection
@@ -40,25 +40,25 @@ def test_the_picture_is_row_0_at_the_largest_y() -> None:
     values[:, 11] = 0.5  # largest x, largest y
     used = torch.ones(12, dtype=torch.bool)
     used[4] = False
-    shown = figures._picture(values, used, RECEIVER)
+    shown = fit.receiver_picture(values, used, RECEIVER)
     assert shown.shape == (3, 4, 3)
     assert shown[2, 0] == pytest.approx(1)
     assert shown[0, 3] == pytest.approx(0.735, abs=1e-3)  # 0.5 in sRGB
-    assert shown[1, 0] == pytest.approx(figures.UNUSED)
+    assert shown[1, 0] == pytest.approx(fit.UNUSED)
     assert shown[1, 1].tolist() == [0, 0, 0]
 
 
 def test_the_extent_is_the_receivers() -> None:
-    assert figures._extent(RECEIVER) == (-1.0, 3.0, -2.5, 0.5)
+    assert fit.extent_of(RECEIVER) == (-1.0, 3.0, -2.5, 0.5)
 
 
 @pytest.mark.parametrize("why", [Rejection.SATURATED, Rejection.SPECULAR, Rejection.ROBUST])
 def test_what_was_left_out_has_its_colour_in_two_panels_and_a_legend(why: Rejection) -> None:
     seen = observation()
-    plain = pixels(figures.fit_picture(seen, seen.samples, RECEIVER, "mm", "title")).astype(int)
+    plain = pixels(fit.fit_picture(seen, seen.samples, RECEIVER, "mm", "title")).astype(int)
     lost = replace(seen, rejected=torch.where(seen.weights == 0, why.value, 0).to(torch.uint8))
-    image = pixels(figures.fit_picture(lost, lost.samples, RECEIVER, "mm", "title")).astype(int)
-    colour = np.array([round(255 * part) for part in to_rgba(figures.REJECTED[why][0])[:3]])
+    image = pixels(fit.fit_picture(lost, lost.samples, RECEIVER, "mm", "title")).astype(int)
+    colour = np.array([round(255 * part) for part in to_rgba(fit.REJECTED[why][0])[:3]])
     shown, before = ((abs(part[..., :3] - colour).max(axis=-1) <= 1) for part in (image, plain))
     halves = [int(shown[: -len(image) // 6, half].sum()) for half in (slice(0, 480), slice(980, None))]
     assert min(halves) > 2000
@@ -68,10 +68,10 @@ def test_what_was_left_out_has_its_colour_in_two_panels_and_a_legend(why: Reject
 
 def test_a_perfect_fit_leaves_a_white_residual_and_grey_where_nothing_was_used() -> None:
     seen = observation()
-    image = pixels(figures.fit_picture(seen, seen.samples, RECEIVER, "mm", "title")).astype(int)
-    grey = round(figures.UNUSED * 255)
+    image = pixels(fit.fit_picture(seen, seen.samples, RECEIVER, "mm", "title")).astype(int)
+    grey = round(fit.UNUSED * 255)
     assert (abs(image[..., :3] - grey).max(axis=-1) <= 1).mean() > 0.01
-    other = pixels(figures.fit_picture(seen, seen.samples + 0.1, RECEIVER, "mm", "title")).astype(int)
+    other = pixels(fit.fit_picture(seen, seen.samples + 0.1, RECEIVER, "mm", "title")).astype(int)
     right = slice(2 * image.shape[1] // 3, None)
     assert (image[:, : image.shape[1] // 4] != other[:, : image.shape[1] // 4]).mean() < 0.1  # labels move a little
     assert (image[:, right] != other[:, right]).mean() > 0.2
@@ -82,13 +82,13 @@ def test_a_perfect_fit_leaves_a_white_residual_and_grey_where_nothing_was_used()
 )
 def test_titles_and_units_are_only_text(text: str) -> None:
     seen = observation()
-    assert pixels(figures.fit_picture(seen, seen.samples, RECEIVER, text, text)).ndim == 3
+    assert pixels(fit.fit_picture(seen, seen.samples, RECEIVER, text, text)).ndim == 3
 
 
 @pytest.mark.parametrize("size", [(4.0, 3.0), (100.0, 0.5), (0.001, 1.0)])
 def test_any_receiver_gives_a_picture_of_reasonable_size(size: tuple[float, float]) -> None:
     seen = observation()
-    image = pixels(figures.fit_picture(seen, seen.samples, replace(RECEIVER, size=size), "mm", "title"))
+    image = pixels(fit.fit_picture(seen, seen.samples, replace(RECEIVER, size=size), "mm", "title"))
     assert 200 < image.shape[0] < 1500
     assert 1000 < image.shape[1] < 2000
 

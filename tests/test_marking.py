@@ -9,8 +9,8 @@ import torch
 from PIL import Image
 
 from torchlight.analysis.confidence import Confidence
-from torchlight.figures import to_srgb8
 from torchlight.marking import GROUND, GROUND_LINE, LEGEND_ROWS, marked_light
+from torchlight.preview import to_srgb8
 
 HEIGHT = 64
 HALF = torch.tensor([1.0] * 24 + [0.0] * 24)

@@ -14,6 +14,8 @@ from weakref import WeakSet
 
 from numba import njit
 from numba.core import event
+from numba.core.caching import FunctionCache
+from numba.core.runtime import rtsys
 
 ANNOUNCEMENT = "compiling once for this machine (about half a minute)"
 
@@ -26,7 +28,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     Used above `no_type_check`, so that checkers of annotations leave the function alone.
     """
-    return _announced(njit(nogil=True, cache=True)(function))
+    return _announced(njit(nogil=True)(function))
 
 
 @no_type_check
@@ -36,13 +38,31 @@ def compiled_sums(function: Callable[..., Any]) -> Any:
     Dot products then run at the speed of the processor. The order is fixed when the function is compiled: the same
     numbers in give the same numbers out, whatever the threads, but another processor may round otherwise.
     """
-    return _announced(njit(nogil=True, cache=True, fastmath={"reassoc", "nsz", "contract"})(function))
+    return _announced(njit(nogil=True, fastmath={"reassoc", "nsz", "contract"})(function))
 
 
 @no_type_check
 def _announced(dispatcher: Any) -> Any:
     _kernels.add(dispatcher)
+    dispatcher._cache = Stored(dispatcher.py_func)  # what its own `enable_caching` does, with another class
     return dispatcher
+
+
+class Stored(FunctionCache):
+    """Machine code on disk, loaded without what only a compiler has to know.
+
+    Numba would first import and register how each function of Python and NumPy is compiled: a sixth of a second.
+    """
+
+    @no_type_check
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Returns the machine code for some types; None, and all that a compiler has to know, where there is none."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            found = self._load_overload(sig, target_context)
+            if found is not None:
+                return found
+        return super().load_overload(sig, target_context)
 
 
 class Announcer(event.Listener):

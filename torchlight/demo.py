@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchlight import figures, metrics
+from torchlight import figures, fit, metrics
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.footprints import visible_samples
 from torchlight.geometry.receiver import Receiver
@@ -74,7 +74,7 @@ def run_demo(out: Path, light: EnvironmentMap, progress: Progress | None = None)
     relit_rms = metrics.rms_255(relit, truth, judged.weights).item()
     files = write_pictures(out, found, photo, light, exposure)
     title = f"a second pose, never shown to the solver, relit by the recovered light; RMS {relit_rms:.2f} of 255"
-    picture = figures.fit_picture(judged, relit, RECEIVER, "units", title, ("truth", "relit"))
+    picture = fit.fit_picture(judged, relit, RECEIVER, "units", title, ("truth", "relit"))
     write_atomically(out / "second_pose.png", picture)
     lights = (EnvironmentMap(above_horizon(light.radiance) * exposure), found.light)
     story = figures.overview(found.observation, lights, judged, relit, RECEIVER)
@@ -90,7 +90,7 @@ def write_pictures(
     pixels = (photo * 255).round().byte().permute(1, 2, 0).contiguous()
     write_png(out / "photo.png", pixels.numpy())
     title = f"the photograph and the recovered light's prediction; RMS {found.rms_255.item():.2f} of 255"
-    write_atomically(out / "fit.png", figures.fit_picture(found.observation, found.predicted, RECEIVER, "units", title))
+    write_atomically(out / "fit.png", fit.fit_picture(found.observation, found.predicted, RECEIVER, "units", title))
     true_light = EnvironmentMap(above_horizon(light.radiance) * exposure)
     write_atomically(out / "light.png", figures.light_comparison(true_light, found.light))
     write_light(out / "light.exr", found.light, {"method": "adaptive"})

@@ -6,19 +6,12 @@ side by side, and +z above +x, whose top edge it shares.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
 from torch import Tensor
 
-from torchlight.figures import add_axes, png_bytes
+from torchlight.drawing.content import HEIGHT, PLACES, SIDE_TOP, ChannelFates, FatesContent
+from torchlight.drawing.elsewhere import draw
 from torchlight.inversion.quadtree import Quadtree, quadtree, spread, squares
 from torchlight.inversion.refinement import NAMES, Fate, Refinement, fate_counts, needed
 from torchlight.light import cubemap
@@ -32,69 +25,48 @@ COLOURS = {  # after Okabe and Ito: told apart with every common colour blindnes
     Fate.UNSOLVED: "#009E73",
 }
 CHANNELS = ("red", "green", "blue")
-PLACES = {"+y": 0, "+x": 1, "-y": 2, "-x": 3, "+z": 1}  # faces to the left of each
-WIDTH, HEIGHT, SIDE_TOP = 4.0, 1.5, 0.5
-FACES_INCHES, CHANNEL_INCHES, LEGEND_INCHES = 2.6, 2.95, 0.45
-HEAD_ROWS, LEAST_ROWS = 1.8, 11.0  # of the table: its head counts as so many; fewer rows are not drawn taller
 
 
 def fates_picture(refinement: Refinement, resolution: int) -> bytes:
-    """Returns a PNG of the faces per channel: squares of constant light, coloured by why they are not finer.
+    """Returns a PNG of `fates_content`."""
+    return draw(fates_content(refinement, resolution))
 
-    A square whose smallest support is in use is RESOLVED. The table of `fate_counts` stands below.
+
+def fates_content(refinement: Refinement, resolution: int) -> FatesContent:
+    """Returns the faces per channel: squares of constant light, coloured by why they are not finer.
+
+    A square whose smallest support is in use is RESOLVED. The table of `fate_counts` stands beside it.
 
     Args:
         refinement: of one photograph.
         resolution: texels along a face's edge, as the solve's `max_resolution`.
     """
-    tree = quadtree(resolution)
-    channels = refinement.kept.shape[0]
-    figure = Figure(figsize=(11.0, CHANNEL_INCHES * channels + LEGEND_INCHES), dpi=110)
-    for channel in range(channels):
-        bottom = LEGEND_INCHES + CHANNEL_INCHES * (channels - 1 - channel)
-        faces, counts = (add_axes(figure, x, bottom, width, FACES_INCHES) for x, width in ((0.08, 6.45), (6.6, 4.3)))
-        kept, fate = refinement.kept[channel].cpu(), refinement.fate[channel].cpu()
-        draw_fates(faces, tree, kept, fate)
-        regions = int(refinement.regions[channel])
-        name = CHANNELS[channel] if channels == len(CHANNELS) else f"channel {channel}"
-        faces.set_title(f"{name}: {int(kept.sum())} functions, {regions} squares", fontsize=10, y=1.0)
-        draw_counts(counts, fate_counts(tree, kept, fate))
     shown = {Fate(value) for value in refinement.fate.unique().tolist()}
-    handles = [Patch(facecolor=COLOURS[fate], edgecolor="0.4", label=NAMES[fate]) for fate in Fate if fate in shown]
-    figure.legend(handles=handles, loc="lower center", ncols=len(handles), fontsize=9, frameon=False)
-    return png_bytes(figure)
+    return FatesContent(
+        tuple(_channel(refinement, resolution, channel) for channel in range(refinement.kept.shape[0])),
+        tuple(COLOURS[value] for value in Fate),
+        tuple((COLOURS[fate], NAMES[fate]) for fate in Fate if fate in shown),
+    )
 
 
-def draw_fates(axis: Axes, tree: Quadtree, kept: Bool[Tensor, " coeffs"], fate: Int[Tensor, " supports"]) -> None:
-    """Draws the fates of one channel and the borders of the squares on which its light is constant."""
-    colours = ListedColormap([COLOURS[value] for value in Fate])
-    limits = BoundaryNorm(np.arange(len(Fate) + 1) - 0.5, len(Fate))
-    shown = unfolded(texel_fates(tree, fate).double(), tree.resolution).numpy()
-    axis.imshow(shown, extent=(0, WIDTH, 0, HEIGHT), cmap=colours, norm=limits, interpolation="nearest")
-    draw_leaves(axis, tree, kept)
-    label_faces(axis)
+def _channel(refinement: Refinement, resolution: int, channel: int) -> ChannelFates:
+    tree = quadtree(resolution)
+    kept, fate = refinement.kept[channel].cpu(), refinement.fate[channel].cpu()
+    name = CHANNELS[channel] if refinement.kept.shape[0] == len(CHANNELS) else f"channel {channel}"
+    counts = fate_counts(tree, kept, fate)
+    fates = [value for value in Fate if int(counts[:, value].sum()) > 0]
+    return ChannelFates(
+        f"{name}: {int(kept.sum())} functions, {int(refinement.regions[channel])} squares",
+        unfolded(texel_fates(tree, fate).float(), resolution).numpy(),
+        borders(tree, kept).numpy(),
+        ("level", *(NAMES[value].replace(" ", "\n", 1).replace("-", "-\n") for value in fates)),
+        tuple((level, *row) for level, row in enumerate(counts[:, fates].tolist())),
+    )
 
 
-def draw_leaves(axis: Axes, tree: Quadtree, kept: Bool[Tensor, " coeffs"], colour: str = "0.35") -> None:
-    """Draws the borders of the squares on which a light of these Haar functions is constant."""
-    leaves = tree.leaves(needed(tree, kept))
-    axis.add_collection(LineCollection(list(outlines(tree, leaves).numpy()), colors=colour, linewidths=0.4))
-
-
-def draw_counts(axis: Axes, counts: Int[Tensor, "levels fates"]) -> None:
-    """Writes how many supports of each level met which fate."""
-    axis.set_axis_off()
-    fates = [fate for fate in Fate if int(counts[:, fate].sum()) > 0]
-    head = ["level", *(NAMES[fate].replace(" ", "\n", 1).replace("-", "-\n") for fate in fates)]
-    height = HEAD_ROWS + len(counts)
-    axis.set_xlim(0, len(head))
-    axis.set_ylim(max(height, LEAST_ROWS), 0)  # rows are counted downwards
-    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8}
-    for column, name in enumerate(head):
-        axis.text(column + 0.5, HEAD_ROWS / 2, name, **style)
-        for level, count in enumerate(counts[:, fates[column - 1]].tolist() if column else range(len(counts))):
-            axis.text(column + 0.5, HEAD_ROWS + level + 0.5, str(count), **style)
-    axis.hlines([0, *(HEAD_ROWS + level for level in range(len(counts) + 1))], 0, len(head), color="0.8", linewidth=1)
+def borders(tree: Quadtree, kept: Bool[Tensor, " coeffs"]) -> Float[Tensor, "squares 5 2"]:
+    """Returns the borders of the squares on which a light of these Haar functions is constant."""
+    return outlines(tree, tree.leaves(needed(tree, kept)))
 
 
 def texel_fates(tree: Quadtree, fate: Int[Tensor, " supports"]) -> Int[Tensor, " texels"]:
@@ -130,24 +102,3 @@ def outlines(tree: Quadtree, nodes: Int[Tensor, " nodes"]) -> Float[Tensor, "nod
     x = torch.stack([left, left + side, left + side, left, left], dim=-1)
     y = torch.stack([top, top, top - side, top - side, top], dim=-1)
     return torch.stack([x, y], dim=-1)
-
-
-def label_faces(axis: Axes) -> None:
-    """Frames and names the faces, and takes the axes away."""
-    for name, left in PLACES.items():
-        bottom, height = (SIDE_TOP, 1.0) if name == "+z" else (0.0, SIDE_TOP)
-        axis.add_patch(Rectangle((left, bottom), 1, height, fill=False, edgecolor="black", linewidth=0.9))
-        below = name != "+z"
-        axis.annotate(
-            name,
-            (left + (0.5 if below else 0.0), bottom + (0.0 if below else 0.5)),
-            (0, -3) if below else (-4, 0),
-            textcoords="offset points",
-            ha="center" if below else "right",
-            va="top" if below else "center",
-            fontsize=8,
-        )
-    axis.set_xlim(-0.02, WIDTH + 0.02)
-    axis.set_ylim(-0.12, HEIGHT + 0.02)
-    axis.set_aspect("equal")
-    axis.set_axis_off()

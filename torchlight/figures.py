@@ -1,140 +1,21 @@
-"""Pictures of results as PNG bytes: what was observed, what the light predicts, what is left; lights side by side."""
+"""Pictures of lights as PNG bytes: side by side, and beside what they explain."""
 
 from __future__ import annotations
 
-import itertools
-import warnings
 from collections.abc import Sequence
-from io import BytesIO
 
-import matplotlib as mpl
 import numpy as np
-import torch
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.patches import Patch
 from torch import Tensor
 
+from torchlight.drawing.canvas import png_bytes
+from torchlight.fit import extent_of, receiver_picture
 from torchlight.geometry.receiver import Receiver
-from torchlight.light.environment import EnvironmentMap, luminance
-from torchlight.photo.observation import Observation, Rejection
-from torchlight.photo.radiometry import encode
+from torchlight.light.environment import EnvironmentMap
+from torchlight.photo.observation import Observation
 from torchlight.preview import preview, to_srgb8
-
-UNUSED = 0.55  # grey of samples that were not used
-REJECTED = {  # after Okabe and Ito: told apart with every common colour blindness
-    Rejection.SATURATED: ("#D55E00", "saturated"),
-    Rejection.SPECULAR: ("#F0E442", "glint"),
-    Rejection.ROBUST: ("#56B4E9", "let go of by --robust"),
-}
-DIVERGING = "PuOr"  # readable with every common colour blindness
-MIN_SCALE_255 = 1.0
-PANEL_INCHES, FOOT_INCHES, HEAD_INCHES, LEGEND_INCHES = 3.5, 0.62, 0.72, 0.3
-
-
-def fit_picture(
-    observation: Observation,
-    predicted: Float[Tensor, "3 points"],
-    receiver: Receiver,
-    units: str,
-    title: str,
-    names: tuple[str, str] = ("observed", "predicted"),
-) -> bytes:
-    """Returns a PNG of the observed and the predicted receiver and of their difference, with scales.
-
-    Observed and predicted are shown as sRGB with white at the brightest used sample; the difference is that of the
-    luminance, predicted - observed, in 255ths of the same white. Samples that were not used are grey; those that the
-    camera sees and that were left out have the colour of their `Rejection` in the first and the last picture.
-    """
-    used = observation.weights > 0
-    white = observation.samples[:, used].max().item()
-    difference = luminance(predicted - observation.samples) * (255.0 / white)
-    limit = max(MIN_SCALE_255, float(torch.quantile(difference[used].abs().double(), 0.998)))
-    side = _panel_inches(receiver)
-    handles, layers = _rejected(observation, receiver)
-    foot = FOOT_INCHES + (LEGEND_INCHES if handles else 0.0)
-    figure = Figure(figsize=(13.5, foot + side[1] + HEAD_INCHES), dpi=110)
-    axes = [add_axes(figure, 0.75 + 4.05 * place, foot, *side) for place in range(3)]
-    extent = _extent(receiver)
-    for axis, values, name in zip(axes[:2], (observation.samples, predicted), names, strict=True):
-        axis.imshow(_picture(values / white, used, receiver), extent=extent, interpolation="nearest")
-        _label(axis, name, units)
-    for axis, layer in itertools.product((axes[0], axes[2]), layers):
-        axis.imshow(layer, extent=extent, interpolation="nearest", zorder=2)
-    shown = torch.where(used, difference, torch.nan).reshape(receiver.samples[::-1]).flip(0).numpy(force=True)
-    colours = mpl.colormaps[DIVERGING].with_extremes(bad=(UNUSED, UNUSED, UNUSED))
-    image = axes[2].imshow(shown, extent=extent, cmap=colours, vmin=-limit, vmax=limit, interpolation="nearest")
-    _label(axes[2], f"{names[1]} - {names[0]} (luminance)", units)
-    for axis in axes[1:]:
-        axis.tick_params(labelleft=False)
-    beside = add_axes(figure, 12.55, foot + 0.075 * side[1], 0.17, 0.85 * side[1])
-    figure.colorbar(image, cax=beside, extend="both", label="255ths of the brightest sample")
-    if handles:
-        figure.legend(handles=handles, loc="lower left", ncols=len(handles), fontsize=9, frameon=False)
-    figure.text(0.5, 1 - 0.18 / figure.get_figheight(), title, ha="center", va="center", fontsize=11, parse_math=False)
-    return png_bytes(figure)
-
-
-def add_axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Returns new axes, placed in inches from a figure's lower left corner.
-
-    Matplotlib's own layouts measure every label first, which takes as long as drawing it.
-    """
-    across, up = figure.get_size_inches()
-    return figure.add_axes((left / across, bottom / up, width / across, height / up))
-
-
-def _panel_inches(receiver: Receiver) -> tuple[float, float]:
-    """Returns width and height of a picture of the receiver, except where it is very long or very narrow."""
-    return PANEL_INCHES, PANEL_INCHES * min(max(receiver.size[1] / receiver.size[0], 0.25), 2.5)
-
-
-def _rejected(observation: Observation, receiver: Receiver) -> tuple[list[Patch], list[np.ndarray]]:
-    """Returns legend entries that say how many samples were left out and why, and a coloured layer for each."""
-    columns, rows = receiver.samples
-    grid = observation.rejections.reshape(rows, columns).flip(0).cpu().numpy()
-    handles, layers = [], []
-    for why, (colour, name) in REJECTED.items():
-        count = int((grid == why).sum())
-        if count == 0:
-            continue
-        layer = np.zeros((rows, columns, 4))
-        layer[grid == why] = to_rgba(colour)
-        layers.append(layer)
-        handles.append(Patch(facecolor=colour, edgecolor="0.4", label=f"{name}: {count} samples"))
-    return handles, layers
-
-
-def png_bytes(figure: Figure) -> bytes:
-    """Returns a figure drawn as PNG; characters that its font lacks, as in a file's name, are drawn as boxes."""
-    buffer = BytesIO()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        FigureCanvasAgg(figure).print_png(buffer)
-    return buffer.getvalue()
-
-
-def _picture(values: Float[Tensor, "3 points"], used: Tensor, receiver: Receiver) -> np.ndarray:
-    columns, rows = receiver.samples
-    encoded = encode(values.clamp(0, 1).reshape(3, rows, columns), "srgb").reshape(3, -1)
-    shown = torch.where(used, encoded, torch.full_like(encoded, UNUSED)).reshape(3, rows, columns)
-    return shown.flip(1).permute(1, 2, 0).numpy(force=True)
-
-
-def _extent(receiver: Receiver) -> tuple[float, float, float, float]:
-    (x, y), (width, height) = receiver.center, receiver.size
-    return x - width / 2, x + width / 2, y - height / 2, y + height / 2
-
-
-def _label(axis: Axes, title: str, units: str) -> None:
-    axis.set_title(title, y=1.0)  # stated, or Matplotlib measures all labels to find it
-    axis.locator_params(nbins=5)
-    axis.set_xlabel(f"x [{units}]", parse_math=False)
-    axis.set_ylabel(f"y [{units}]", parse_math=False)
-    axis.set_aspect("equal")
 
 
 def light_comparison(truth: EnvironmentMap, found: EnvironmentMap) -> bytes:
@@ -183,7 +64,9 @@ def overview(
     for axis, observation, values, name in shown:
         used = observation.weights > 0
         white = observation.samples[:, used].max()
-        axis.imshow(_picture(values / white, used, receiver), extent=_extent(receiver), interpolation="nearest")
+        axis.imshow(
+            receiver_picture(values / white, used, receiver), extent=extent_of(receiver), interpolation="nearest"
+        )
         axis.set_title(name)
         axis.set_xticks([])
         axis.set_yticks([])

@@ -7,6 +7,7 @@ from io import BytesIO
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torchlight.light.environment import EnvironmentMap, flux, luminance
@@ -16,19 +17,24 @@ PREVIEW_PERCENTILE = 98.0
 PREVIEW_LEVEL = 0.8  # linear value given to that percentile of the pixels that hold light
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Preview:
-    """A tone-mapped light as PNG bytes, and what the tone map lost.
+    """A tone-mapped light, and what the tone map lost.
 
     Attributes:
-        png: 8-bit sRGB lat-long picture.
+        pixels: 8-bit sRGB lat-long picture.
         scale: the factor from radiance to linear picture values.
         clipped_flux: share of the luminance flux on the plane above white.
     """
 
-    png: bytes
+    pixels: NDArray[np.uint8]
     scale: float
     clipped_flux: float
+
+    @property
+    def png(self) -> bytes:
+        """The picture as PNG bytes."""
+        return encode_png(self.pixels)
 
 
 def preview(environment: EnvironmentMap) -> Preview:
@@ -42,7 +48,7 @@ def preview(environment: EnvironmentMap) -> Preview:
     lost = flows * (1 - (1 / (radiance * scale).clamp(min=1e-12)).clamp(max=1))
     total = luminance(flows.flatten(start_dim=1)).sum().item()
     share = luminance(lost.flatten(start_dim=1)).sum().item() / total if total > 0 else 0.0
-    return Preview(encode_png(to_srgb8(radiance * scale)), scale, share)
+    return Preview(to_srgb8(radiance * scale), scale, share)
 
 
 def to_srgb8(linear: Float[Tensor, "3 height width"]) -> np.ndarray:
@@ -58,10 +64,3 @@ def encode_png(image: np.ndarray) -> bytes:
     buffer = BytesIO()
     Image.fromarray(image).save(buffer, format="PNG")
     return buffer.getvalue()
-
-
-def decode_png(data: bytes) -> np.ndarray:
-    """Returns the pixels of an 8-bit picture, which may be written to."""
-    from PIL import Image
-
-    return np.array(Image.open(BytesIO(data)))

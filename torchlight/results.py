@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import platform
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -17,6 +18,9 @@ from torch import Tensor
 from torchlight import metrics
 from torchlight.camera import Camera
 from torchlight.confidence import filled, trusted, write_confidence
+from torchlight.drawing.elsewhere import drawn
+from torchlight.fates import fates_content
+from torchlight.fit import fit_content
 from torchlight.geometry.scene import Scene
 from torchlight.inversion.quadtree import quadtree
 from torchlight.inversion.refinement import NAMES, Fate, Refinement, fate_counts
@@ -33,12 +37,13 @@ from torchlight.near_light.verdict import NearLight
 from torchlight.photo.observation import Observation, Rejection
 from torchlight.pipeline import Estimate
 from torchlight.placement.report import Placement
-from torchlight.preview import Preview, decode_png, preview, to_srgb8
+from torchlight.preview import Preview, preview, to_srgb8
 from torchlight.solvers import Status
-from torchlight.threads import aside
+from torchlight.threads import ordered_map
 
 LIGHT_KEYS = ("method", "resolution", "photo_sha256", "scene_sha256", "light_is", "fill")
 CONVENTION = "torchlight: Z up, row 0 = zenith, image centre looks along +X (Blender's lat-long)"
+Pictures = Mapping[str, Callable[[], bytes]]
 Pages = Callable[[Estimate, Mapping[str, Any], float], Mapping[str, bytes]]
 ZERO = 1e-9  # of the largest coefficient: counted as nonzero above it
 LIBRARIES = (
@@ -126,7 +131,7 @@ def write_result(
     scene: Scene,
     provenance: Provenance,
     overwrite: bool = False,
-    pictures: Mapping[str, bytes] | None = None,
+    pictures: Pictures | None = None,
     pages: Pages | None = None,
 ) -> dict[str, Any]:
     """Writes the folder of one photograph and returns what result.json holds.
@@ -140,58 +145,65 @@ def write_result(
         scene: of the photograph.
         provenance: where the result comes from.
         overwrite: replace an existing folder.
-        pictures: PNG files by name; None = `evidence`.
+        pictures: what waits for PNG files, by name; None = `evidence`.
         pages: makes further files, by name, of the estimate (its light filled), of what result.json holds, and of
             the factor from radiance to the values of light.png.
 
     Raises:
         FormatError: the folder exists and `overwrite` is False, or it cannot be written.
     """
-    with aside(preview, [estimate.light]) as (previewed,):
-        pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
-        shown = previewed()
+    pictures = evidence(estimate, scene, provenance) if pictures is None else pictures
+    shown = preview(estimate.light)
     estimate = replace(estimate, light=filled(estimate.light, estimate.confidence, provenance.fill))
     result = {**summary(estimate, scene, provenance), "preview_clipped_flux": shown.clipped_flux}
-    confidence, light = estimate.confidence, estimate.light
-    drawn = marked(shown, estimate, provenance.fill)
-    others = {} if pages is None else pages(estimate, result, shown.scale)
     with partial_folder(folder, overwrite=overwrite) as partial:
-        metadata = {key: result[key] for key in LIGHT_KEYS}
-        write_light(partial / "light.exr", estimate.light, metadata)
-        write_hdr(partial / "light.hdr", estimate.light.radiance)  # torchlight's convention, 0 for negative
-        write_atomically(partial / "light.png", drawn)
-        if confidence is not None:
-            write_confidence(partial / "confidence.exr", confidence, light.height, metadata)
-        for name, picture in {**pictures, **others}.items():
-            write_atomically(partial / name, picture)
-        write_atomically(partial / "estimate.safetensors", save(tensors(estimate)))
+        made = (  # the longest first, and last what another process may be drawing
+            lambda: write_all(partial, {} if pages is None else pages(estimate, result, shown.scale)),
+            *lights(partial, estimate, shown, result),
+            lambda: write_all(partial, {name: wait() for name, wait in pictures.items()}),
+        )
+        deque(ordered_map(lambda write: write(), made), maxlen=0)
         write_json(partial / "timing.json", {"seconds": dict(provenance.seconds)})
         write_json(partial / "result.json", result)
     return result
+
+
+def lights(folder: Path, estimate: Estimate, shown: Preview, result: Mapping[str, Any]) -> Iterator[Callable[[], None]]:
+    """Yields what writes the light: light.exr, light.hdr, light.png, confidence.exr and estimate.safetensors."""
+    light, confidence = estimate.light, estimate.confidence
+    metadata = {key: result[key] for key in LIGHT_KEYS}
+    yield lambda: write_light(folder / "light.exr", light, metadata)
+    yield lambda: write_atomically(folder / "light.png", marked(shown, estimate, result["fill"]))
+    if confidence is not None:
+        yield lambda: write_confidence(folder / "confidence.exr", confidence, light.height, metadata)
+    yield lambda: write_hdr(folder / "light.hdr", light.radiance)  # torchlight's convention, 0 for negative
+    yield lambda: write_atomically(folder / "estimate.safetensors", save(tensors(estimate)))
+
+
+def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Writes files by their names."""
+    for name, data in files.items():
+        write_atomically(folder / name, data)
 
 
 def marked(shown: Preview, estimate: Estimate, fill: str) -> bytes:
     """Returns light.png of an estimate; where it has its confidence, what was not determined is marked."""
     if estimate.confidence is None:
         return shown.png
-    if fill == "none":
-        picture = decode_png(shown.png)
-    else:
-        picture = to_srgb8(estimate.light.radiance.detach().cpu() * shown.scale)
+    unfilled = fill == "none"
+    picture = shown.pixels.copy() if unfilled else to_srgb8(estimate.light.radiance.detach().cpu() * shown.scale)
     return marked_light(picture, estimate.confidence, fill)
 
 
-def evidence(estimate: Estimate, scene: Scene, provenance: Provenance) -> dict[str, bytes]:
-    """Returns the pictures of an estimate by file name: fit.png and, of the adaptive method, refinement.png."""
-    from torchlight.fates import fates_picture  # with Matplotlib, which nothing else here needs
-    from torchlight.figures import fit_picture
-
+def evidence(estimate: Estimate, scene: Scene, provenance: Provenance) -> Pictures:
+    """Returns what waits for the pictures of an estimate: fit.png and, of the adaptive method, refinement.png."""
     rms, used = number(estimate.rms_255), visibility(estimate.observation)["visible"]
     title = f"{one_line(Path(provenance.photo).name, 80)}: RMS {rms:.2f} of 255, {used} samples"
-    drawn = {"fit.png": fit_picture(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)}
-    if estimate.refinement is not None:
-        drawn["refinement.png"] = fates_picture(estimate.refinement, estimate.basis.resolution)
-    return drawn
+    fit = fit_content(estimate.observation, estimate.predicted, scene.receiver, scene.units, title)
+    if estimate.refinement is None:
+        return {"fit.png": drawn(fit)}
+    fates = fates_content(estimate.refinement, estimate.basis.resolution)
+    return {"fit.png": drawn(fit), "refinement.png": drawn(fates)}
 
 
 def tensors(estimate: Estimate) -> dict[str, Tensor]:

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from torchlight.figures import UNUSED, png_bytes, to_srgb8
+from torchlight.drawing.canvas import png_bytes
+from torchlight.drawing.content import UNUSED
 from torchlight.geometry.primitives import box
 from torchlight.geometry.receiver import Receiver, sample_centers
 from torchlight.geometry.scene import Scene
@@ -24,6 +25,7 @@ from torchlight.light.directions import from_angles
 from torchlight.light.environment import EnvironmentMap
 from torchlight.light.latlong import pixel_directions
 from torchlight.light_plane import LightPlane
+from torchlight.preview import to_srgb8
 from torchlight.relighting import relight
 from torchlight.view import standing_free
 

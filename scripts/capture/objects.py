@@ -8,13 +8,15 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torchlight.analysis.observability import degrees_of_freedom, whitened
-from torchlight.figures import UNUSED, png_bytes, to_srgb8
+from torchlight.drawing.canvas import png_bytes
+from torchlight.drawing.content import UNUSED
 from torchlight.geometry.primitives import box, cone, cylinder
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
 from torchlight.geometry.transforms import transform
 from torchlight.light.procedural import sun_and_window
 from torchlight.precomputation import precompute
+from torchlight.preview import to_srgb8
 from torchlight.relighting import relight
 from torchlight.view import standing_free
 

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from exported.setting import RECEIVER, WIDTH
-from torchlight.figures import png_bytes, to_srgb8
+from torchlight.drawing.canvas import png_bytes
+from torchlight.preview import to_srgb8
 from torchlight.synthetic import receiver_image
 
 LEGEND = "seen from above, +x right, +y up; below: turn of the shadows against torchlight's, irradiance off"

@@ -16,7 +16,9 @@ from torch import Tensor
 
 from torchlight import fates as fates_of
 from torchlight import metrics
-from torchlight.figures import DIVERGING, png_bytes, to_srgb8
+from torchlight.drawing.canvas import png_bytes
+from torchlight.drawing.content import DIVERGING, HEIGHT, WIDTH
+from torchlight.drawing.fates import draw_borders, label_faces
 from torchlight.inversion.quadtree import quadtree
 from torchlight.light.bases import SphericalHarmonics
 from torchlight.light.environment import EnvironmentMap, luminance
@@ -24,6 +26,7 @@ from torchlight.light.haar import block_synthesis
 from torchlight.light.overlap import latlong_to_texels
 from torchlight.light.synthesis import without_rounding
 from torchlight.photo.observation import Observation
+from torchlight.preview import to_srgb8
 
 from .measure import Transfers, relit
 from .methods import GAIN, Found
@@ -123,7 +126,7 @@ def draw_lights(axes: Sequence[Axes], light: EnvironmentMap, seen: Exposed, foun
         axis.set_title(f"{name}{negative}", fontsize=10)
         if one.refinement is not None:
             tree = quadtree(one.basis.resolution)
-            fates_of.draw_leaves(axis, tree, one.refinement.kept[1], colour="0.6")
+            draw_borders(axis, fates_of.borders(tree, one.refinement.kept[1]).numpy(), colour="0.6")
 
 
 def shown_texels(found: Found) -> tuple[Float[Tensor, "3 texels"], int]:
@@ -145,8 +148,8 @@ def draw_light(axis: Axes, texels: Float[Tensor, "3 texels"], resolution: int, s
     picture = fates_of.unfolded(texels * scale, resolution)
     encoded = to_srgb8(picture.nan_to_num(nan=1.0).float())
     encoded[(luminance(picture.flatten(start_dim=1)) < 0).reshape(picture.shape[1:]).numpy()] = NEGATIVE
-    axis.imshow(encoded, extent=(0, fates_of.WIDTH, 0, fates_of.HEIGHT), interpolation="nearest")
-    fates_of.label_faces(axis)
+    axis.imshow(encoded, extent=(0, WIDTH, 0, HEIGHT), interpolation="nearest")
+    label_faces(axis)
 
 
 def draw_plane(axis: Axes, values: Float[Tensor, "3 points"], used: Tensor, title: str) -> None:

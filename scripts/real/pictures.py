@@ -15,10 +15,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchlight.figures import DIVERGING, MIN_SCALE_255, UNUSED, png_bytes, to_srgb8
+from torchlight.drawing.canvas import png_bytes
+from torchlight.drawing.content import DIVERGING, UNUSED
+from torchlight.fit import MIN_SCALE_255
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
 from torchlight.light.environment import EnvironmentMap, luminance
+from torchlight.preview import to_srgb8
 
 PHOTO_WIDTH = 640  # pixels of the photograph on the sheet
 DECADES = 4.0  # of luminance shown of a light

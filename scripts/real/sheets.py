@@ -9,11 +9,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchlight.figures import to_srgb8
 from torchlight.geometry.receiver import sample_centers
 from torchlight.io.images import read_photo
 from torchlight.light.environment import EnvironmentMap, radiance_at
 from torchlight.observing import linearize
+from torchlight.preview import to_srgb8
 
 from .chair import SCREEN, Chair
 from .cube import FOLDER, HalfShadow, predicted_shadow

@@ -24,7 +24,7 @@ from torchlight.near_light.verdict import NearLight, near_light
 from torchlight.photo.observation import Observation
 from torchlight.pipeline import Estimate, explain, explain_robustly, with_confidence
 from torchlight.precomputation import columns_for
-from torchlight.results import Pages, Provenance, select, write_result
+from torchlight.results import Pages, Provenance, evidence, select, write_result
 from torchlight.solvers import Status
 from torchlight.solvers.solution import CAUSE_AND_CURE
 
@@ -123,9 +123,9 @@ def write(
         warnings,
         config.output.fill,
     )
+    pictures = {} if config.output.skip_pictures else evidence(estimate, shared.setting.scene, provenance)
     if not config.output.skip_confidence:
         estimate = with_confidence(estimate, shared.setting.scene, shared.columns, shared.solver)
-    pictures = {} if config.output.skip_pictures else None
     pages = pages_of(shared.setting.scene, looked) if config.output.reports else None
     result = write_result(folder, estimate, shared.setting.scene, provenance, overwrite, pictures, pages)
     return Ended(looked.photo, "", result, warnings)

@@ -15,7 +15,7 @@ import tyro
 
 from torchlight.cli import arguments
 from torchlight.cli.config_option import expanded
-from torchlight.cli.loading import begin, loaded
+from torchlight.cli.loading import TYPEGUARD, begin, end, loaded, postponed
 from torchlight.cli.spelling import spelled_out
 from torchlight.cli.usage import complaint_in_one_line
 from torchlight.errors import TorchlightError
@@ -38,6 +38,7 @@ def program() -> None:
     codes: list[int] = []
 
     def leave() -> None:
+        end()
         if codes:
             with suppress(OSError):  # nobody reads it any more
                 sys.stdout.flush()
@@ -45,9 +46,12 @@ def program() -> None:
             os._exit(codes[0])
 
     atexit.register(leave)  # before all others, so called after them
-    begin(sys.argv[1:])
     try:
+        begin(sys.argv[1:])
         main()
+    except KeyboardInterrupt:  # while arguments were read
+        fail("interrupted; nothing was started")
+        codes.append(INTERRUPTED)
     except SystemExit as stop:
         if isinstance(stop.code, int):
             codes.append(stop.code)
@@ -99,7 +103,7 @@ def parsed_alone(words: Sequence[str]) -> arguments.Command | None:
     if not words or words[0] not in kinds or {"-h", "--help"} & set(words):
         return None
     try:
-        with redirect_stderr(StringIO()):
+        with redirect_stderr(StringIO()), postponed("typeguard", TYPEGUARD):
             return tyro.cli(tyro.conf.FlagCreatePairsOff[kinds[words[0]]], args=words[1:])  # pyright: ignore
     except SystemExit:
         return None

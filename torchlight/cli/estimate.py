@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 from torchlight.analysis.verdict import excess
@@ -14,8 +15,8 @@ from torchlight.batch.ending import Ended, failure, nearness, solved, write
 from torchlight.batch.looking import Looked, look
 from torchlight.batch.scenes import Shared, prepare
 from torchlight.cli import NOTHING_STARTED, arguments, fail
-from torchlight.cli.loading import load_drawing
 from torchlight.cli.progress import progress_bar
+from torchlight.drawing import elsewhere
 from torchlight.errors import ConfigError, FormatError, TorchlightError
 from torchlight.io.atomic import check_writable
 from torchlight.io.images import read_photo
@@ -53,13 +54,15 @@ def run(command: arguments.Estimate) -> int:
 
 
 def get_ready(command: arguments.Estimate) -> None:
-    """Begins, on a thread of its own, what is needed only once there is light: Matplotlib, the shares of map pixels."""
+    """Begins, on a thread of its own, what is needed only once there is light: the shares of map pixels, pictures."""
 
     def begin() -> None:
         with suppress(TorchlightError):  # whoever needs it will say so
             prepare_map(named_method(command.settings)[0])
-            if not command.settings.output.skip_pictures:
-                load_drawing()
+            if not (command.settings.output.skip_pictures or elsewhere.begun()):
+                elsewhere.load()
+            if command.settings.output.reports:
+                import_module("torchlight.report.page")
 
     begin_beside(begin)
 

@@ -11,9 +11,14 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Thread
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 SOLVING = ("estimate", "batch", "joint", "demo", "sweep")
+# tyro checks the defaults of options by it, which is for tests to do: a twentieth of a second to import
+TYPEGUARD = SimpleNamespace(check_type=lambda value, kind: value, TypeCheckError=TypeError)
+DRAWING = "torchlight.drawing.elsewhere"
+# what torch does to tensors without values ("meta"), for its compilers: a third of its import, and nothing here asks
+UNASKED = "torch._meta_registrations"
 # of malloc.h: how much of the heap's end is kept, from which size on a tensor gets pages of its own (no more is
 # allowed), and how many heaps there are for threads to share
 MALLOPT = {"M_TRIM_THRESHOLD": (-1, 2**29), "M_MMAP_THRESHOLD": (-3, 2**25), "M_ARENA_MAX": (-8, 2)}
@@ -32,6 +37,8 @@ def loaded(name: str) -> ModuleType:
         # Numba would import it for the sake of np.dot, which no kernel calls
         with hidden("scipy.linalg"), suppress(ImportError):
             import_module("numba.np.arraymath")
+        with postponed(UNASKED):
+            import_module("torch")
     module = import_module(f"torchlight.cli.{name}")
     gc.freeze()
     gc.enable()
@@ -39,15 +46,17 @@ def loaded(name: str) -> ModuleType:
 
 
 def begin(words: Sequence[str]) -> None:
-    """Begins, on a thread of its own, to load what the command of a process will need first."""
+    """Begins what the command of a process will need: torch's library, on a thread, and a process that draws."""
     if words and words[0] in SOLVING and not {"-h", "--help"} & set(words):
         Thread(target=load_library_of_torch, daemon=True).start()
+        if words[0] == "estimate" and "--skip-pictures" not in words:
+            import_module(DRAWING).begin()
 
 
-def load_drawing() -> None:
-    """Loads what draws pictures, without the manual that Matplotlib writes for its classes: a quarter of its import."""
-    setattr(import_module("matplotlib.artist"), "kwdoc", lambda artist: "")  # noqa: B010  (a module has any attribute)
-    import_module("torchlight.fates")
+def end() -> None:
+    """Ends what `begin` began; pictures that were asked for have come."""
+    if DRAWING in sys.modules:
+        sys.modules[DRAWING].end()
 
 
 def load_library_of_torch() -> None:
@@ -81,3 +90,26 @@ def hidden(module: str) -> Iterator[None]:
         yield
     finally:
         del sys.modules[module]
+
+
+@contextmanager
+def postponed(module: str, instead: object = None) -> Iterator[None]:
+    """Gives who imports a module meanwhile an empty one, or what is to stand in for it; who asks later gets it whole.
+
+    Args:
+        module: its full name.
+        instead: what stands in.
+    """
+    if module in sys.modules:
+        yield
+        return
+    instead = ModuleType(module) if instead is None else instead
+    sys.modules[module] = instead  # pyright: ignore[reportArgumentType]  (any object will do)
+    try:
+        yield
+    finally:
+        package, _, name = module.rpartition(".")
+        if sys.modules.get(module) is instead:
+            del sys.modules[module]
+        if getattr(sys.modules.get(package), name, None) is instead:
+            delattr(sys.modules[package], name)

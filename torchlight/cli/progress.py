@@ -6,18 +6,20 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from tqdm import tqdm
-
 DELAY_SECONDS = 1.0
 
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
     """Yields a function of (done, total) that draws a bar on standard error."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from tqdm import tqdm  # which makes locks and a thread for every bar, also for those it does not show
+
     with tqdm(
         desc=description,
         total=1,
-        disable=not sys.stderr.isatty(),
         delay=DELAY_SECONDS,
         unit_scale=True,
         leave=False,

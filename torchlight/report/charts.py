@@ -15,7 +15,7 @@ from torch import Tensor
 from torchlight.analysis.nullity import CONSIDERABLY_LESS_THAN_1, TOLERANCE, Nullity
 from torchlight.analysis.sampling import sampling_set
 from torchlight.analysis.spectrum import clamped_cosine
-from torchlight.figures import png_bytes
+from torchlight.drawing.canvas import png_bytes
 from torchlight.report.case import Case, View
 
 # Okabe and Ito's palette, told apart with every common colour blindness; markers and dashes say the same again

@@ -12,11 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from torch import Tensor
 
-from torchlight.figures import DIVERGING, png_bytes, preview, to_srgb8
+from torchlight.drawing.canvas import png_bytes
+from torchlight.drawing.content import DIVERGING
 from torchlight.light.environment import luminance
 from torchlight.light_metrics.protocol import MATERIALS, SphereTest
 from torchlight.light_metrics.spheres import picture
 from torchlight.light_metrics.summary import Pair
+from torchlight.preview import preview, to_srgb8
 from torchlight.report.comparison import Comparison
 
 SPHERE_PERCENTILE, SPHERE_LEVEL = 0.98, 0.8

@@ -14,7 +14,7 @@ from matplotlib.image import AxesImage
 from torch import Tensor
 
 from torchlight.analysis.observability import DETERMINED, Observability
-from torchlight.figures import png_bytes
+from torchlight.drawing.canvas import png_bytes
 from torchlight.light import cubemap, latlong
 from torchlight.light.directions import from_angles
 from torchlight.report.case import Case

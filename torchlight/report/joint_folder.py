@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from torchlight import figures, metrics
+from torchlight import fit, metrics
 from torchlight.analysis.added import Added, Determined
 from torchlight.analysis.nullity import TOLERANCE
 from torchlight.fates import fates_picture
@@ -106,7 +106,7 @@ def fit_picture(joint: JointEstimate, source: Source, index: int) -> bytes:
         f"{one_line(source.photo.name, 80)}: RMS {joint.rms_255[index]:.2f} of 255, "
         f"exposure {joint.scales.values[index]:.4g} ({source.exposure_from})"
     )
-    return figures.fit_picture(view.observation, joint.predicted[index], view.scene.receiver, view.scene.units, title)
+    return fit.fit_picture(view.observation, joint.predicted[index], view.scene.receiver, view.scene.units, title)
 
 
 def summary(joint: JointEstimate, sources: Sequence[Source], told: Added, asked: Asked) -> dict[str, Any]:

@@ -10,8 +10,9 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from torchlight.drawing.content import DIVERGING
 from torchlight.fates import CHANNELS, COLOURS, NAMES
-from torchlight.figures import DIVERGING, REJECTED
+from torchlight.fit import REJECTED
 from torchlight.geometry.receiver import Receiver
 from torchlight.inversion.refinement import Fate
 from torchlight.pipeline import Estimate

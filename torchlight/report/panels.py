@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchlight.analysis.confidence import Confidence
+from torchlight.drawing.content import DIVERGING
 from torchlight.fates import COLOURS, texel_fates, unfolded
-from torchlight.figures import DIVERGING, MIN_SCALE_255, REJECTED, to_srgb8
+from torchlight.fit import MIN_SCALE_255, REJECTED
 from torchlight.geometry.receiver import Receiver
 from torchlight.inversion.quadtree import quadtree, spread
 from torchlight.inversion.refinement import Fate, needed
 from torchlight.light.environment import LUMINANCE, EnvironmentMap, luminance
 from torchlight.photo.observation import Observation
+from torchlight.preview import to_srgb8
 from torchlight.report.colours import NOTHING, SEQUENTIAL, coloured
 from torchlight.report.jpegs import jpeg, unpacked
 

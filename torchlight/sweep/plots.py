@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from torchlight.figures import png_bytes
+from torchlight.drawing.canvas import png_bytes
 from torchlight.io.atomic import make_folder, write_atomically
 from torchlight.io.sweep_file import Axis, Choices, Sweep
 

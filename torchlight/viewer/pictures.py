@@ -9,9 +9,10 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchlight.figures import DIVERGING, UNUSED, to_srgb8
+from torchlight.drawing.content import DIVERGING, UNUSED
 from torchlight.geometry.receiver import Receiver
 from torchlight.light.environment import EnvironmentMap, luminance
+from torchlight.preview import to_srgb8
 
 RESIDUAL_LIMIT = 0.1  # of white: the ends of the colour map
 MIN_SIDE = 256  # pixels: samples are drawn as squares of pixels, since a browser would blur few of them

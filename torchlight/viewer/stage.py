@@ -9,11 +9,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchlight.figures import preview
 from torchlight.geometry.scene import Scene
 from torchlight.light import overlap
 from torchlight.light.environment import EnvironmentMap, rotate_about_z
 from torchlight.light_metrics.grid import resampled
+from torchlight.preview import preview
 from torchlight.relighting import albedo_over_pi
 from torchlight.transfer import Transfer
 from torchlight.viewer.pictures import Image, dome_picture, plane_picture, residual_picture, white_scale
