@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, no_type_check
 from weakref import WeakSet
 
@@ -28,7 +29,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     Used above `no_type_check`, so that checkers of annotations leave the function alone.
     """
-    return _announced(njit(nogil=True)(function))
+    return _announced(njit(nogil=True, cache=True)(function))
 
 
 @no_type_check
@@ -38,27 +39,29 @@ def compiled_sums(function: Callable[..., Any]) -> Any:
     Dot products then run at the speed of the processor. The order is fixed when the function is compiled: the same
     numbers in give the same numbers out, whatever the threads, but another processor may round otherwise.
     """
-    return _announced(njit(nogil=True, fastmath={"reassoc", "nsz", "contract"})(function))
+    return _announced(njit(nogil=True, cache=True, fastmath={"reassoc", "nsz", "contract"})(function))
 
 
 @no_type_check
 def _announced(dispatcher: Any) -> Any:
     _kernels.add(dispatcher)
-    dispatcher._cache = Stored(dispatcher.py_func)  # what its own `enable_caching` does, with another class
+    if type(getattr(dispatcher, "_cache", None)) is FunctionCache:  # not where NUMBA_DISABLE_JIT is set
+        dispatcher._cache.__class__ = Stored
     return dispatcher
 
 
 class Stored(FunctionCache):
     """Machine code on disk, loaded without what only a compiler has to know.
 
-    Numba would first import and register how each function of Python and NumPy is compiled: a sixth of a second.
+    Numba would first import and register how each function of Python and NumPy is compiled: a sixth of a second. This
+    leans on what numba keeps to itself; a numba that has changed it is left to go its own way.
     """
 
     @no_type_check
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Returns the machine code for some types; None, and all that a compiler has to know, where there is none."""
-        rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
+        with suppress(AttributeError, TypeError), self._guard_against_spurious_io_errors():
+            rtsys.initialize(target_context)
             found = self._load_overload(sig, target_context)
             if found is not None:
                 return found
