@@ -2,6 +2,7 @@
 # Sourced by scripts/demo and scripts/test: where the checkout is, and the virtual environment in it.
 
 unset PYTHONPATH PYTHONHOME # they would shadow the pinned versions
+unset PYTHONDONTWRITEBYTECODE # every process would compile every module again
 checkout="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)"
 
 # Prints a Python of at least 3.11 that can make environments: $PYTHON where that is set.
