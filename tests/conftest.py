@@ -12,7 +12,7 @@ from jaxtyping import install_import_hook
 install_import_hook("torchlight", "beartype.beartype")
 elsewhere.register()  # before the first gradient: then torch counts the devices that there are
 
-gc.disable()  # until all tests are known: what is made until then stays, and looking it through takes a quarter of the time
+gc.disable()  # what is made until all tests are known stays; to look it through takes a quarter of the time
 
 
 def pytest_collection_finish() -> None:

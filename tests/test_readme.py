@@ -192,7 +192,7 @@ def test_python_runs(document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     """
     copytree(ROOT / "configs", tmp_path / "configs")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("torchlight.relighting.cubature", lambda light, count: cubature(light, min(count, RAYS)))
+    monkeypatch.setattr("torchlight.relighting.cubature", lambda light, count: cubature(light, count=min(count, RAYS)))
     monkeypatch.setenv("TORCHLIGHT_CACHE", str(tmp_path / "cache"))
     module = ModuleType("document_under_test")
     monkeypatch.setitem(sys.modules, module.__name__, module)
