@@ -33,7 +33,7 @@ foundation() {
 }
 
 install() {
-  .venv/bin/python -m pip install -q --disable-pip-version-check --no-input -c scripts/constraints.txt "$@"
+  .venv/bin/python -m pip install -q --disable-pip-version-check --no-input --no-compile -c scripts/constraints.txt "$@"
 }
 
 # Makes .venv, or brings it up to date, with the package and the extras named ($1: nothing or "test"). Where the
@@ -56,5 +56,6 @@ make_environment() (
   rm -f "$installed"
   install torch # first and alone: by far the largest download fails before anything else does
   install -e ".${1:+[$1]}"
+  .venv/bin/python -m compileall -q -j 0 .venv/lib >/dev/null || true # pip would on one processor; some are templates
   { foundation; cat pyproject.toml; } >"$installed"
 )
