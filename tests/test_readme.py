@@ -184,8 +184,14 @@ def problem(command: str) -> str | None:
     return f"{command}: no such option: {', '.join(unknown)}" if unknown else None
 
 
+@pytest.fixture(scope="module")
+def transports(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One cache for all documents, which speak of the same scene."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_python_runs(document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_runs(document: Path, tmp_path: Path, transports: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The blocks of one document run in order, in one namespace, in a folder that has the repository's configs.
 
     Where they cast rays, few do: to cast all would take each document half a minute, and shows no more that it runs.
@@ -193,7 +199,7 @@ def test_python_runs(document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     copytree(ROOT / "configs", tmp_path / "configs")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("torchlight.relighting.cubature", lambda light, count: cubature(light, count=min(count, RAYS)))
-    monkeypatch.setenv("TORCHLIGHT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("TORCHLIGHT_CACHE", str(transports))
     module = ModuleType("document_under_test")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     for block in blocks(document):
