@@ -2,6 +2,7 @@
 # Sourced by scripts/demo and scripts/test: where the checkout is, and the virtual environment in it.
 
 unset PYTHONPATH PYTHONHOME # they would shadow the pinned versions
+unset PYTHONDONTWRITEBYTECODE # every process would compile every module again
 checkout="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)"
 
 # Prints a Python of at least 3.11 that can make environments: $PYTHON where that is set.
@@ -32,7 +33,7 @@ foundation() {
 }
 
 install() {
-  .venv/bin/python -m pip install -q --disable-pip-version-check --no-input -c scripts/constraints.txt "$@"
+  .venv/bin/python -m pip install -q --disable-pip-version-check --no-input --no-compile -c scripts/constraints.txt "$@"
 }
 
 # Makes .venv, or brings it up to date, with the package and the extras named ($1: nothing or "test"). Where the
@@ -55,5 +56,6 @@ make_environment() (
   rm -f "$installed"
   install torch # first and alone: by far the largest download fails before anything else does
   install -e ".${1:+[$1]}"
+  .venv/bin/python -m compileall -q -j 0 .venv/lib >/dev/null || true # pip would on one processor; some are templates
   { foundation; cat pyproject.toml; } >"$installed"
 )

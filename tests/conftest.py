@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import elsewhere
 import pytest
 import torch
@@ -9,6 +11,13 @@ from jaxtyping import install_import_hook
 
 install_import_hook("torchlight", "beartype.beartype")
 elsewhere.register()  # before the first gradient: then torch counts the devices that there are
+
+gc.disable()  # what is made until all tests are known stays; to look it through takes a quarter of the time
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()  # nor is it looked through while they run
+    gc.enable()
 
 
 def cuda() -> torch.device:

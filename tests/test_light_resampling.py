@@ -57,10 +57,10 @@ def test_parts_of_a_pixel_lie_in_it(grid: Grid) -> None:
 def test_the_flux_of_every_single_pixel_is_kept_and_a_constant_stays(source: Grid, target: Grid, turn: Tensor) -> None:
     areas, lit = source.solid_angles(), target.solid_angles()
     suns = torch.eye(len(areas), dtype=torch.float64)
-    moved = resample(suns, source, target, turn)
+    white = torch.ones(1, len(areas), dtype=torch.float64)
+    moved, (white,) = resample(torch.cat([suns, white]), source, target, turn).split([len(areas), 1])
     assert bool((moved >= 0).all())
     assert_close(moved @ lit, areas, rtol=1e-9, atol=1e-15)
-    white = resample(torch.ones(len(areas), dtype=torch.float64), source, target, turn)
     assert_close(white[lit > 0], torch.ones_like(white)[lit > 0], rtol=0, atol=1e-3)
 
 

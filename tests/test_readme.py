@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
+import runpy
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cache
+from io import StringIO
 from pathlib import Path
 from shutil import copytree
 from types import ModuleType
 
 import pytest
 
+from torchlight.cli import main
+from torchlight.light.cubature import cubature
+
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHELL = {"console", "bash", "sh", "shell"}
+RAYS = 4096
 LANGUAGES = {*SHELL, "python", "yaml", "json", "text", "bibtex", "toml"}
 OTHER_PROGRAMS = {"git", "cd", "pip", "export", "pytest"}  # commands that are not ours to check
 FLAG = re.compile(r"(?<![\w-])--?[A-Za-z][\w-]*")
@@ -75,17 +80,51 @@ def program(command: str) -> str:
 
 
 @cache
-def help_text(*command: str) -> str:
-    """Returns what `command --help` prints."""
-    environment = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
-    result = subprocess.run([*command, "--help"], check=False, capture_output=True, text=True, env=environment)
-    if result.returncode != 0:
-        raise LookupError(f"{' '.join(command)} --help exits {result.returncode}: {result.stderr.strip()}")
-    return result.stdout
+def help_text(*subcommands: str) -> str:
+    """Returns what `torchlight SUBCOMMANDS --help` prints."""
+    return printed("torchlight", lambda: main([*subcommands, "--help"]))
 
 
-def torchlight(*subcommands: str) -> tuple[str, ...]:
-    return (str(Path(sys.executable).with_name("torchlight")), *subcommands)
+@cache
+def help_of_script(script: str) -> str:
+    """Returns what `python SCRIPT --help` prints.
+
+    It runs in this process, because a new one takes seconds to import torch, but as if alone there: its own folder
+    comes first on the path, that of no other script is on it, and no module of a script is known yet.
+    """
+    path = ROOT / script
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [str(path), "--help"])
+        patch.setattr(sys, "path", [str(path.parent), *(folder for folder in sys.path if not is_ours(folder))])
+        for name, module in list(sys.modules.items()):
+            if is_ours(getattr(module, "__file__", None)):
+                patch.delitem(sys.modules, name)
+        return printed(f"python {script}", lambda: runpy.run_path(str(path), run_name="__main__"))
+
+
+def is_ours(path: str | None) -> bool:
+    """Whether a path lies in the folder of the scripts, or in that of the tests."""
+    return path is not None and any(Path(path).is_relative_to(ROOT / folder) for folder in ("scripts", "tests"))
+
+
+def printed(name: str, ask: Callable[[], object]) -> str:
+    """Returns what a call for help prints before it exits.
+
+    Raises:
+        LookupError: it does not exit with 0.
+    """
+    out, err = StringIO(), StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        for variable, value in (("COLUMNS", "200"), ("NO_COLOR", "1"), ("TERM", "dumb")):
+            patch.setenv(variable, value)
+        code: object = 0
+        try:
+            ask()
+        except SystemExit as stop:
+            code = stop.code
+    if code not in (0, None):
+        raise LookupError(f"{name} --help exits {code}: {err.getvalue().strip()}")
+    return out.getvalue()
 
 
 def choices(text: str) -> list[str]:
@@ -96,12 +135,12 @@ def choices(text: str) -> list[str]:
 
 
 def resolve(words: list[str]) -> tuple[str, ...]:
-    """Returns the torchlight command that words name, down to the last subcommand.
+    """Returns the subcommands of torchlight that words name, down to the last.
 
     Raises:
         LookupError: a subcommand does not exist.
     """
-    command = torchlight()
+    command: tuple[str, ...] = ()
     for word in words:
         offered = choices(help_text(*command))
         if not offered or not re.match("[a-z]", word):  # an argument, an option, or a placeholder such as COMMAND
@@ -115,14 +154,13 @@ def resolve(words: list[str]) -> tuple[str, ...]:
 
 def script_help(script: str) -> str | None:
     """Returns the help of a script of the repository, None where it hands its arguments to pytest."""
-    path = ROOT / script
-    if not path.is_file():
+    if not (ROOT / script).is_file():
         raise LookupError(f"{script} does not exist")
     if script == "scripts/test":
         return None
     if script == "scripts/demo":
-        return help_text(*torchlight("demo"))
-    return help_text(sys.executable, str(path))
+        return help_text("demo")
+    return help_of_script(script)
 
 
 def problem(command: str) -> str | None:
@@ -146,12 +184,22 @@ def problem(command: str) -> str | None:
     return f"{command}: no such option: {', '.join(unknown)}" if unknown else None
 
 
+@pytest.fixture(scope="module")
+def transports(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One cache for all documents, which speak of the same scene."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_python_runs(document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The blocks of one document run in order, in one namespace, in a folder that has the repository's configs."""
+def test_python_runs(document: Path, tmp_path: Path, transports: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The blocks of one document run in order, in one namespace, in a folder that has the repository's configs.
+
+    Where they cast rays, few do: to cast all would take each document half a minute, and shows no more that it runs.
+    """
     copytree(ROOT / "configs", tmp_path / "configs")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("TORCHLIGHT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("torchlight.relighting.cubature", lambda light, count: cubature(light, count=min(count, RAYS)))
+    monkeypatch.setenv("TORCHLIGHT_CACHE", str(transports))
     module = ModuleType("document_under_test")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     for block in blocks(document):
