@@ -5,7 +5,8 @@
 Every run is a process of its own; wall and processor seconds are the least of some runs, memory the most. The
 photograph is that of scripts/demo (64 x 64 samples), estimated with the default settings, all pictures written and
 the near-light test included: with the scene's transport on disk (warm), and with an empty cache folder (cold).
-Compiled kernels are on disk in both, as they are from the second run on a machine. The yardstick of the same run is
+Compiled kernels and modules are on disk in both, as they are from the second run on a machine (PYTHONDONTWRITEBYTECODE
+is unset: with it every process would compile every module again). The yardstick of the same run is
 the import of torch, of kornia (which imports torch) and, where it is installed, of Mitsuba. OMP_NUM_THREADS sets the
 threads of all.
 """
@@ -46,6 +47,7 @@ def main(runs: int = 5, out: Path = OUT) -> None:
         runs: of each command.
         out: where the CSV goes.
     """
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     threads = int(os.environ.get("OMP_NUM_THREADS", str(os.cpu_count())))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
