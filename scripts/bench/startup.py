@@ -6,8 +6,8 @@ Every run is a process of its own; wall and processor seconds are the least of s
 photograph is that of scripts/demo (64 x 64 samples), estimated with the default settings, all pictures written and
 the near-light test included: with the scene's transport on disk (warm), and with an empty cache folder (cold).
 Compiled kernels and modules are on disk in both, as they are from the second run on a machine (PYTHONDONTWRITEBYTECODE
-is unset: with it every process would compile every module again). The yardstick of the same run is
-the import of torch, of kornia (which imports torch) and, where it is installed, of Mitsuba. OMP_NUM_THREADS sets the
+is unset: with it every process would compile every module again). The yardstick of the same run is the import of torch,
+of kornia (which imports torch) and, where it is installed, of Mitsuba. OMP_NUM_THREADS sets the
 threads of all.
 """
 
