@@ -174,8 +174,9 @@ def test_damped_solve_is_numpys():
     rng = np.random.default_rng(10)
     _, gram, linear = normal_equations(independent(rng), rng.random((3, POINTS)))
     x = np.empty_like(linear)
-    factor_kernel.solve_items(gram, linear, 1e-5, x)
-    assert_allclose(x, np.linalg.solve(gram + 1e-5 * np.eye(COUNT), linear.T).T, rtol=1e-8)
+    damping = 1e-5 * (1 + np.arange(COUNT))
+    factor_kernel.solve_items(gram, damping, linear, x)
+    assert_allclose(x, np.linalg.solve(gram + np.diag(damping), linear.T).T, rtol=1e-8)
 
 
 @pytest.mark.parametrize("cosine", [0.3, 1e-3])

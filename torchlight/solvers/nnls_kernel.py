@@ -11,10 +11,12 @@ from typing import no_type_check
 import numpy as np
 
 from torchlight.compiled import compiled, compiled_sums
-from torchlight.solvers.factor_kernel import TILE, factored, substitute
+from torchlight.solvers.border_kernel import begin, empty_border, extend, fresh_rows, solve
+from torchlight.solvers.factor_kernel import TILE, backward, factored, forward, substitute
 
 PIVOTINGS = 20
 CHANCES = 3
+FEW_WRONG = 2  # columns on the wrong side: with no more the next set is likely the last, and is factored
 PROMISING = 0.1  # of the largest w outside: what comes in
 CAREFUL = 10  # pivotings in which only that does; where nearly all columns belong in, it would take hundreds
 SMALLEST_SHIFT = 1e-13  # just above the rounding of a float64 Gram matrix with unit diagonal
@@ -82,32 +84,48 @@ def pivot(gram, linear, shift, tolerance, cosine, max_steps, x, factor, inverse)
     """
     columns = len(x)
     passive = x > 0.0
-    index = np.empty(columns, np.int64)
-    values = np.empty(columns)
-    w, rough = np.empty(columns), np.empty(columns)
+    index, current = np.empty(columns, np.int64), np.empty(columns, np.int64)
+    values, w, rough = np.empty(columns), np.empty(columns), np.empty(columns)
     wrong = np.empty(columns, np.bool_)
-    fewest, chances, spent, used = columns + 1, CHANCES, 0, 0
-    for pivoting in range(PIVOTINGS):
-        if spent >= max_steps:
-            break
-        used, kept = collect(passive, index, used)
+    border = empty_border(columns)
+    fewest, chances, spent, used, infeasible, pivoting = columns + 1, CHANCES, 0, 0, 0, 0
+    rows = -1
+    while pivoting < PIVOTINGS and spent < max_steps:
         spent += 1
-        shift = factored(gram, index, used, kept, shift, factor, inverse)
-        substitute(factor, inverse, index, used, linear, values)
-        gradient(gram, linear, index, used, values, w)
-        infeasible = judge(passive, index, used, values, w, tolerance, wrong)
+        listed = -1
+        if rows >= 0:
+            total = fresh_rows(border, passive, used, rows) if infeasible > FEW_WRONG else -1
+            if total >= 0:
+                extend(gram, linear, shift, index, used, factor, inverse, border, rows, total)
+                listed = solve(passive, index, used, factor, inverse, border, total, current, values)
+            rows = total if listed >= 0 else -1
+        if listed < 0:
+            used, kept = collect(passive, index, used)
+            shift = factored(gram, index, used, kept, shift, factor, inverse)
+            forward(factor, inverse, index, used, linear, values)
+            begin(border, index, used, values)
+            backward(factor, inverse, used, values)
+            listed = used
+            current[:used] = index[:used]
+        exact = rows < 0
+        rows = max(rows, 0)
+        gradient(gram, linear, current, listed, values, w)
+        infeasible = judge(passive, current, listed, values, w, tolerance, wrong)
         if infeasible == 0:
-            scatter(index, used, values, x)
-            return spent, shift
-        if cosine > 0.0 and met(gram, linear, index, used, values, cosine, rough):
-            scatter(index, used, values, x)
+            if exact:
+                scatter(index, used, values, x)
+                return spent, shift
+            continue
+        if cosine > 0.0 and met(gram, linear, current, listed, values, cosine, rough):
+            scatter(current, listed, values, x)
             return spent, shift
         if infeasible < fewest:
             fewest, chances = infeasible, CHANCES
-            scatter(index, used, values, x)
+            scatter(current, listed, values, x)
         else:
             chances -= 1
         swap(passive, wrong, w, PROMISING if pivoting < CAREFUL else 0.0, chances)
+        pivoting += 1
     more, shift = lawson_hanson(gram, linear, shift, tolerance, max_steps - spent, x, factor, inverse)
     return spent + more, shift
 
