@@ -153,7 +153,9 @@ def test_damped_solve_fills_in_what_a_photograph_lacks(samples, monkeypatch):
     monkeypatch.setattr(batch, "MOST_LACKING", 30 / 6)
     own = unit_gram_under(shared, weights[1])
     assert own is not None
-    batch.guessed(whole, groups, [unit, own])
+    lacking = [batch.lacking_of_group(whole, group) for group in groups]
+    assert (lacking[1] is not None) == (samples == "shared")
+    batch.guessed(whole, groups, lacking, [unit, own])
     torch.testing.assert_close(seen[0][1], seen[0][0], rtol=0, atol=2e-3)  # the damping, 1e-5, of small eigenvalues
     assert (linear[1] - linear[0]).abs().max().item() > 0.1
 

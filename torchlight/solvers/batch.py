@@ -91,7 +91,7 @@ def fill_pays(system: System, shared: SharedGram, alike: list[Group]) -> bool:
     if len(alike) < ENOUGH_MASKS:
         return False
     few = (lacking_of(shared, system.root[items[0]].square(), len(items)) for items in alike)
-    return sum(lacking is not None and len(lacking.samples) > 0 for lacking in few) >= ENOUGH_MASKS
+    return sum(lacking is not None for lacking in few) >= ENOUGH_MASKS
 
 
 def equal_weights(system: System) -> list[Group]:
@@ -121,11 +121,17 @@ def collected(groups: Iterable[Group]) -> Iterator[list[Group]]:
 def solved(
     batch: Batch, groups: list[Group]
 ) -> Iterator[tuple[Group, Float[Tensor, "items k"], Int[Tensor, " items"]]]:
-    """Yields the items, their minimisers for |b| = 1 and their steps, group by group."""
-    owns = [own_gram(batch, group) for group in groups]
-    starts = guessed(batch, groups, owns).split([len(group) for group in groups])
-    for group, own, start in zip(groups, owns, starts, strict=True):
+    """Yields the items, their minimisers for |b| = 1 and their steps, group by group.
+
+    A Gram matrix that the guess does not need is made just before its use: its memory is the last one's.
+    """
+    lacking = [lacking_of_group(batch, group) for group in groups]
+    owns = [None if filled else own_gram(batch, group) for group, filled in zip(groups, lacking, strict=True)]
+    starts = guessed(batch, groups, lacking, owns).split([len(group) for group in groups])
+    for number, (group, start) in enumerate(zip(groups, starts, strict=True)):
+        own = owns[number] or own_gram(batch, group)
         found, spent = minimize(own, batch.linear[group] * own.inverse, start, batch.ridge, batch.limits)
+        owns[number] = None
         yield group, found * own.inverse / batch.shared.norms, spent
 
 
@@ -137,7 +143,9 @@ def own_gram(batch: Batch, group: Group) -> UnitGram:
     return batch.base if own is None else own
 
 
-def guessed(batch: Batch, groups: list[Group], owns: list[UnitGram]) -> Float[Tensor, "items k"]:
+def guessed(
+    batch: Batch, groups: list[Group], lacking: list[Lacking | None], owns: list[UnitGram | None]
+) -> Float[Tensor, "items k"]:
     """Returns where the items are likely to end, from the Gram matrix that most share.
 
     An item of other weights, with the Gram matrix H, is taken for the photograph that samples where others do. Those
@@ -150,7 +158,7 @@ def guessed(batch: Batch, groups: list[Group], owns: list[UnitGram]) -> Float[Te
         return start
     others = torch.tensor([own is not batch.base for own, group in zip(owns, groups, strict=True) for _ in group])
     if bool(others.any()):
-        y = damped(batch, groups, owns, linear)[others]
+        y = damped(batch, groups, lacking, owns, linear)[others]
         linear[others] = y @ batch.base.gram + DAMPING * y
     lit = (linear > 0).any(dim=1)
     if bool(lit.any()):
@@ -159,21 +167,22 @@ def guessed(batch: Batch, groups: list[Group], owns: list[UnitGram]) -> Float[Te
 
 
 def damped(
-    batch: Batch, groups: list[Group], owns: list[UnitGram], linear: Float[Tensor, "items k"]
+    batch: Batch,
+    groups: list[Group],
+    lacking: list[Lacking | None],
+    owns: list[UnitGram | None],
+    linear: Float[Tensor, "items k"],
 ) -> Float[Tensor, "items k"]:
     """Returns (H + d 1)^-1 c of every item of other weights than most, by the samples it lacks where they are few."""
     y = torch.zeros_like(linear)
     filled: list[Lacking] = []
     places: list[Tensor] = []
-    for own, group, place in zip(owns, groups, places_of(groups), strict=True):
-        lacking = few_lacking(batch, group)
-        if own is batch.base:
-            continue
-        if lacking is None:
-            y[place] = solved_directly(own, batch.base, linear[place])
-        else:
-            filled.append(lacking)
+    for own, lacks, place in zip(owns, lacking, places_of(groups), strict=True):
+        if lacks is not None:
+            filled.append(lacks)
             places.append(place)
+        elif own is not None and own is not batch.base:
+            y[place] = solved_directly(own, batch.base, linear[place])
     if batch.filling is not None and filled:
         place = torch.cat(places)
         y[place] = batch.filling.damped(filled, linear[place])
@@ -186,18 +195,18 @@ def places_of(groups: list[Group]) -> Iterable[Tensor]:
     return torch.arange(sum(sizes)).split(sizes)
 
 
-def few_lacking(batch: Batch, group: Group) -> Lacking | None:
-    """Returns what a group lacks; None where it weighs a sample more than most do, or lacks many."""
+def lacking_of_group(batch: Batch, group: Group) -> Lacking | None:
+    """Returns what is to be filled in by the samples that a group lacks; None where it is not, or there is nothing."""
     if batch.filling is None:
         return None
     return lacking_of(batch.shared, batch.system.root[group[0]].square(), len(group))
 
 
 def lacking_of(shared: SharedGram, weights: Float[Tensor, " points"], items: int) -> Lacking | None:
-    """Returns what items of these weights lack; None where they weigh a sample more than most do, or lack many."""
+    """Returns what items of these weights lack; None where that is nothing, or much, or where they have more."""
     change = weights - shared.weights
     samples = change.nonzero()[:, 0]
-    few = samples.shape[0] <= MOST_LACKING * shared.columns.shape[1]
+    few = 0 < samples.shape[0] <= MOST_LACKING * shared.columns.shape[1]
     return Lacking(items, samples, -change[samples]) if few and bool((change <= 0).all()) else None
 
 

@@ -6,7 +6,7 @@ from typing import no_type_check
 
 from torchlight.compiled import compiled
 
-SQUARE = 32  # of entries read along rows and written along columns: both stay in the cache
+SQUARE = 8  # numbers of a line of the cache; more lines, a row apart each, may fall on one another there
 
 
 @compiled

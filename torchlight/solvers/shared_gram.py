@@ -89,10 +89,9 @@ def unit_gram_under(shared: SharedGram, weights: Float[Tensor, " points"]) -> Un
     if differ.shape[0] == 0:
         return None
     if differ.shape[0] > MOST_CHANGED * change.shape[0]:
-        seen = weights.nonzero()[:, 0]
-        gram = lower_sum(torch.zeros_like(shared.gram), shared.columns[seen], weights[seen])
+        gram = lower_sum(torch.zeros_like(shared.gram), shared.columns, weights)
     else:
-        gram = lower_sum(shared.gram, shared.columns[differ], change[differ])
+        gram = lower_sum(lower_sum(shared.gram, shared.columns, change), shared.columns, -change, sign=-1)
         lost = (gram.diagonal() < LOST * shared.gram.diagonal()).nonzero()[:, 0]
         if lost.shape[0] > 0:
             afresh = shared.columns.T @ (shared.columns[:, lost] * weights[:, None])
@@ -104,15 +103,18 @@ def unit_gram_under(shared: SharedGram, weights: Float[Tensor, " points"]) -> Un
 
 
 def lower_sum(
-    gram: Float[Tensor, "k k"], columns: Float[Tensor, "points k"], weights: Float[Tensor, " points"]
+    gram: Float[Tensor, "k k"], columns: Float[Tensor, "points k"], weights: Float[Tensor, " points"], sign: int = 1
 ) -> Float[Tensor, "k k"]:
-    """Returns G + C'WC on and below the diagonal, block row by block row; beyond each block row nothing is set."""
-    weighted = (columns * weights[:, None]).T
+    """Returns G + sign C'WC with the positive weights only, on and below the diagonal; what is above has no meaning."""
+    some = (weights > 0).nonzero()[:, 0]
+    if some.shape[0] == 0:
+        return gram
+    rows = columns[some].mul_(weights[some].sqrt()[:, None])
     result = torch.empty_like(gram)
     for start in block_starts(columns):
         stop = start + COLUMNS_PER_TASK
         here = slice(start, stop)
-        torch.addmm(gram[here, :stop], weighted[here], columns[:, :stop], out=result[here, :stop])
+        torch.addmm(gram[here, :stop], rows[:, here].T, rows[:, :stop], alpha=sign, out=result[here, :stop])
     return result
 
 
