@@ -89,6 +89,20 @@ def begin(border, index, used, half):
 
 @compiled
 @no_type_check
+def bordered(gram, linear, shift, passive, index, used, factor, inverse, border, rows, current, values):
+    """Lists the passive columns and their values; returns how many, and how many rows the border has then.
+
+    -1 columns where another factor costs hardly more, or where rounding leaves no sound equations.
+    """
+    total = fresh_rows(border, passive, used, rows)
+    if total < 0:
+        return -1, rows
+    extend(gram, linear, shift, index, used, factor, inverse, border, rows, total)
+    return solve(passive, index, used, factor, inverse, border, total, current, values), total
+
+
+@compiled
+@no_type_check
 def fresh_rows(border, passive, used, count):
     """Lists the columns whose change has no row yet, from row `count` on; returns how many rows there are then.
 

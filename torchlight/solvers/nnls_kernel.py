@@ -11,7 +11,7 @@ from typing import no_type_check
 import numpy as np
 
 from torchlight.compiled import compiled, compiled_sums
-from torchlight.solvers.border_kernel import begin, empty_border, extend, fresh_rows, solve
+from torchlight.solvers.border_kernel import begin, bordered, empty_border
 from torchlight.solvers.factor_kernel import TILE, backward, factored, forward, substitute
 
 PIVOTINGS = 20
@@ -80,45 +80,38 @@ def pivot(gram, linear, shift, tolerance, cosine, max_steps, x, factor, inverse)
 
     Block principal pivoting (Portugal, Judice and Vicente 1994): infeasible columns change sides while their number
     falls, the last one alone where it does not. Should that not end soon, Lawson and Hanson's method, which must,
-    begins where fewest were infeasible.
+    begins where fewest were infeasible. Sets that few changes make of the last one factored are solved with its factor
+    (`border_kernel`), until none is infeasible: then, and where hardly any is, the set gets a factor of its own.
     """
     columns = len(x)
     passive = x > 0.0
-    index, current = np.empty(columns, np.int64), np.empty(columns, np.int64)
+    index, current, wrong = np.empty(columns, np.int64), np.empty(columns, np.int64), np.empty(columns, np.bool_)
     values, w, rough = np.empty(columns), np.empty(columns), np.empty(columns)
-    wrong = np.empty(columns, np.bool_)
     border = empty_border(columns)
-    fewest, chances, spent, used, infeasible, pivoting = columns + 1, CHANCES, 0, 0, 0, 0
-    rows = -1
+    fewest, chances, spent, pivoting, used, rows, infeasible = columns + 1, CHANCES, 0, 0, 0, 0, 0
     while pivoting < PIVOTINGS and spent < max_steps:
         spent += 1
         listed = -1
-        if rows >= 0:
-            total = fresh_rows(border, passive, used, rows) if infeasible > FEW_WRONG else -1
-            if total >= 0:
-                extend(gram, linear, shift, index, used, factor, inverse, border, rows, total)
-                listed = solve(passive, index, used, factor, inverse, border, total, current, values)
-            rows = total if listed >= 0 else -1
-        if listed < 0:
+        if infeasible > FEW_WRONG:
+            listed, rows = bordered(
+                gram, linear, shift, passive, index, used, factor, inverse, border, rows, current, values
+            )
+        exact = listed < 0
+        if exact:
             used, kept = collect(passive, index, used)
             shift = factored(gram, index, used, kept, shift, factor, inverse)
             forward(factor, inverse, index, used, linear, values)
             begin(border, index, used, values)
             backward(factor, inverse, used, values)
-            listed = used
-            current[:used] = index[:used]
-        exact = rows < 0
-        rows = max(rows, 0)
+            current[:used], listed, rows = index[:used], used, 0
         gradient(gram, linear, current, listed, values, w)
         infeasible = judge(passive, current, listed, values, w, tolerance, wrong)
-        if infeasible == 0:
-            if exact:
-                scatter(index, used, values, x)
-                return spent, shift
-            continue
-        if cosine > 0.0 and met(gram, linear, current, listed, values, cosine, rough):
+        done = exact and infeasible == 0
+        if done or (cosine > 0.0 and met(gram, linear, current, listed, values, cosine, rough)):
             scatter(current, listed, values, x)
             return spent, shift
+        if infeasible == 0:
+            continue  # to a factor of this very set
         if infeasible < fewest:
             fewest, chances = infeasible, CHANCES
             scatter(current, listed, values, x)
@@ -188,8 +181,7 @@ def lawson_hanson(gram, linear, shift, tolerance, max_steps, x, factor, inverse)
     """Minimises from a feasible x, one column in at a time (Lawson and Hanson 1974); returns as `pivot` does.
 
     The objective falls with every step. A column that rounding alone lets in leaves at once, without a step; it is
-    not asked again before x has moved. New columns are appended, and only the rows of the factor below the first
-    column that left are made again.
+    not asked again before x has moved. New columns are appended; only rows below the first that left are made again.
     """
     columns = len(x)
     passive = x > 0.0
