@@ -93,7 +93,7 @@ def test_readable_twin_gives_the_same_objective(monkeypatch):
     problem = LeastSquares(matrix, photographs(matrix), weights)
     compiled = NNLS().solve(problem)
 
-    def twin(unit, linear, start, ridge, limits):
+    def twin(unit, linear, start, ridge, limits, near):
         found = [minimize_nonnegative(unit.gram, c, x, ridge, limits) for c, x in zip(linear, start, strict=True)]
         return torch.stack([x for x, _ in found]), torch.tensor([steps for _, steps in found])
 

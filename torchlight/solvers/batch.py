@@ -23,6 +23,7 @@ SMALL = 1024  # columns: a start by products pays for a single item up to here, 
 ENOUGH = 8  # items: for these beyond
 MOST_LACKING = 0.5  # of the columns: with more samples lacking, a factor of all columns costs less
 ENOUGH_MASKS = 16  # photographs: for these the products that all masks share pay
+NEAR = 1e-3  # of the tolerance, for items whose Gram matrix rounds by their company: 1e-14, far below a ridge of 1e-12
 DAMPING = 3e-5  # of the unit diagonal: what fills in the samples that a photograph lacks
 
 Group = Int[Tensor, " _"]
@@ -130,7 +131,9 @@ def solved(
     starts = guessed(batch, groups, lacking, owns).split([len(group) for group in groups])
     for number, (group, start) in enumerate(zip(groups, starts, strict=True)):
         own = owns[number] or own_gram(batch, group)
-        found, spent = minimize(own, batch.linear[group] * own.inverse, start, batch.ridge, batch.limits)
+        near = 0.0 if own is batch.base else NEAR * batch.limits.tolerance
+        linear = batch.linear[group] * own.inverse
+        found, spent = minimize(own, linear, start, batch.ridge, batch.limits, near=near)
         owns[number] = None
         yield group, found * own.inverse / batch.shared.norms, spent
 
@@ -231,18 +234,19 @@ def minimize(
     ridge: float,
     limits: Limits,
     cosine: float = 0.0,
+    near: float = 0.0,
 ) -> tuple[Float[Tensor, "items k"], Int[Tensor, " items"]]:
     """Returns the minimisers of x'Gx/2 - c'x + ridge |x|^2/2 over x >= 0, and the steps.
 
-    On a CPU by compiled code, item by item, where a `cosine` above 0 lets an item of |b| = 1 end early
-    (`nnls_kernel.minimize_items`); elsewhere all items in lockstep.
+    On a CPU by compiled code, item by item, where a `cosine` above 0 lets an item of |b| = 1 end early and a `near`
+    above 0 spares the last factor (`nnls_kernel.minimize_items`); elsewhere all items in lockstep.
     """
     if linear.device.type == "cpu":
         from torchlight.solvers.nnls_kernel import minimize_items
 
         x, steps = start.clone(memory_format=torch.contiguous_format), torch.zeros(len(start), dtype=torch.int64)
         gram, c = unit.gram.contiguous(), linear.contiguous()
-        most = limits.max_steps
-        minimize_items(gram.numpy(), c.numpy(), ridge, limits.tolerance, cosine, most, x.numpy(), steps.numpy())
+        most, tolerance = limits.max_steps, limits.tolerance
+        minimize_items(gram.numpy(), c.numpy(), ridge, tolerance, cosine, near, most, x.numpy(), steps.numpy())
         return x, steps
     return minimizers(alike(unit.gram, linear), start, ridge, limits)
