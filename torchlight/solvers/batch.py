@@ -73,7 +73,7 @@ def batch_minimizers(
     guess = modulus_of(base.gram) if worth_it else None
     alike = equal_weights(system)
     fills = guess is not None and fill_pays(system, shared, alike)
-    filling = filling_of(shared.columns * base.inverse, guess, DAMPING) if fills else None
+    filling = filling_of(shared.columns * base.inverse, guess, DAMPING) if guess is not None and fills else None
     batch = Batch(system, shared, base, guess, filling, linear, ridge, limits)
     x = torch.zeros_like(linear)
     steps = torch.zeros(x.shape[0], dtype=torch.int64, device=x.device)
