@@ -9,9 +9,9 @@ from scipy.optimize import nnls
 
 from torchlight.solvers import NNLS, LeastSquares, batch, shared_gram
 from torchlight.solvers.active_set import Limits, minimize_nonnegative
-from torchlight.solvers.filling import filling_of
+from torchlight.solvers.filling import Lacking, filling_of
 from torchlight.solvers.modulus import Modulus, modulus_of
-from torchlight.solvers.shared_gram import SharedGram, gram_under, unit_gram, weighted_gram
+from torchlight.solvers.shared_gram import SharedGram, unit_gram, unit_gram_under, weighted_gram
 from torchlight.solvers.system import System, same_rows
 
 POINTS, COLUMNS, PHOTOS = 120, 40, 12
@@ -93,7 +93,7 @@ def test_readable_twin_gives_the_same_objective(monkeypatch):
     problem = LeastSquares(matrix, photographs(matrix), weights)
     compiled = NNLS().solve(problem)
 
-    def twin(unit, linear, start, ridge, limits):
+    def twin(unit, linear, start, ridge, limits, near):
         found = [minimize_nonnegative(unit.gram, c, x, ridge, limits) for c, x in zip(linear, start, strict=True)]
         return torch.stack([x for x, _ in found]), torch.tensor([steps for _, steps in found])
 
@@ -151,7 +151,11 @@ def test_damped_solve_fills_in_what_a_photograph_lacks(samples, monkeypatch):
     whole = batch.Batch(system, shared, unit, guess, filling, linear, 0.0, Limits(1e-11, 10))
     groups = [torch.tensor([0]), torch.tensor([1])]
     monkeypatch.setattr(batch, "MOST_LACKING", 30 / 6)
-    batch.guessed(whole, groups, [unit, unit_gram(gram_under(shared, weights[1]))])
+    own = unit_gram_under(shared, weights[1])
+    assert own is not None
+    lacking = [batch.lacking_of_group(whole, group) for group in groups]
+    assert (lacking[1] is not None) == (samples == "shared")
+    batch.guessed(whole, groups, lacking, [unit, own])
     torch.testing.assert_close(seen[0][1], seen[0][0], rtol=0, atol=2e-3)  # the damping, 1e-5, of small eigenvalues
     assert (linear[1] - linear[0]).abs().max().item() > 0.1
 
@@ -167,9 +171,34 @@ def test_damped_solve_by_the_samples_that_are_missing_is_numpys():
     left[lacking] -= taken
     linear = torch.rand(3, 12, generator=g, dtype=torch.float64)
     gram = columns.T @ columns
-    found = filling_of(columns, modulus_of(gram), 1e-3).damped(lacking, taken, linear)
+    groups = [Lacking(1, lacking[:5], taken[:5]), Lacking(2, lacking, taken)]
+    found = filling_of(columns, modulus_of(gram), 1e-3).damped(groups, linear)
     shifted = columns.T @ (columns * left[:, None]) + 1e-3 * torch.eye(12, dtype=torch.float64)
-    torch.testing.assert_close(found, torch.linalg.solve(shifted, linear.T).T, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(found[1:], torch.linalg.solve(shifted, linear[1:].T).T, rtol=1e-9, atol=1e-9)
+    left[lacking[5:]] += taken[5:]
+    shifted = columns.T @ (columns * left[:, None]) + 1e-3 * torch.eye(12, dtype=torch.float64)
+    torch.testing.assert_close(found[0], torch.linalg.solve(shifted, linear[0]), rtol=1e-9, atol=1e-9)
+
+
+def test_damped_solve_by_a_factor_is_numpys_and_leaves_an_unseen_column_dark():
+    g = torch.Generator().manual_seed(5)
+    columns = torch.nn.functional.normalize(torch.rand(POINTS, 12, generator=g, dtype=torch.float64), dim=0)
+    columns[20:, 3] = 0
+    columns[:20, 4] = 0
+    weights = torch.ones(POINTS, dtype=torch.float64)
+    shared = SharedGram(torch.arange(12), torch.ones(12).double(), columns, weights, columns.T @ columns)
+    weights = weights.clone()
+    weights[:20] = 0
+    own = unit_gram_under(shared, weights)
+    assert own is not None
+    linear = torch.rand(3, 12, generator=g, dtype=torch.float64)
+    linear[:, 3] = 0
+    base = unit_gram(shared.gram)
+    found = batch.solved_directly(own, base, linear)
+    unit = columns * base.inverse
+    shifted = unit.T @ (unit * weights[:, None]) + batch.DAMPING * torch.eye(12, dtype=torch.float64)
+    torch.testing.assert_close(found, torch.linalg.solve(shifted, linear.T).T, rtol=1e-7, atol=1e-9)
+    assert (found[:, 3] == 0).all()
 
 
 @pytest.mark.parametrize("case", ["few rows", "most rows", "weights raised", "a column almost gone"])
@@ -193,8 +222,12 @@ def test_updated_gram_matrix_is_the_one_made_afresh(case):
     )
     expected = columns.T @ (own[:, None] * columns)
     lengths = expected.diagonal().sqrt()
-    error = (gram_under(shared, own) - expected) / lengths / lengths[:, None]
-    torch.testing.assert_close(error, torch.zeros_like(error), rtol=0, atol=1e-13)
+    found = unit_gram_under(shared, own)
+    assert found is not None
+    torch.testing.assert_close(found.norms, lengths, rtol=1e-13, atol=0)
+    torch.testing.assert_close(found.gram, expected / lengths / lengths[:, None], rtol=0, atol=1e-13)
+    assert torch.equal(found.gram, found.gram.T)
+    assert unit_gram_under(shared, weights) is None
 
 
 def test_gram_matrix_has_numpys_numbers_and_the_same_bits_on_any_number_of_threads(monkeypatch):

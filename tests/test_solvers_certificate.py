@@ -95,3 +95,18 @@ def test_more_axes_are_more_items():
         torch.testing.assert_close(kkt[photo], found.kkt_residual)
         torch.testing.assert_close(gap[photo], found.gap)
     assert nonzero_norm(torch.zeros(2, 3, 4)).tolist() == [[1.0] * 3] * 2
+
+
+def test_items_of_several_weights_have_the_figures_that_they_have_alone():
+    """Neighbouring items of equal weights share columns' norms: which are whose matters."""
+    g = torch.Generator().manual_seed(0)
+    matrix, x = torch.rand(9, 3, generator=g, dtype=torch.float64), torch.rand(4, 3, generator=g, dtype=torch.float64)
+    root = torch.rand(4, 9, generator=g, dtype=torch.float64)
+    root[1] = root[0]
+    targets = torch.rand(4, 9, generator=g, dtype=torch.float64)
+    together = nonnegative_certificate(System(matrix, root, targets), x, 1e-3)
+    for item in range(4):
+        here = slice(item, item + 1)
+        alone = nonnegative_certificate(System(matrix, root[here], targets[here]), x[here], 1e-3)
+        torch.testing.assert_close(together.kkt_residual[here], alone.kkt_residual)
+        torch.testing.assert_close(together.gap[here], alone.gap)

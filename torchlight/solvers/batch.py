@@ -12,9 +12,9 @@ from torch import Tensor
 from torchlight.solvers.active_set import Limits
 from torchlight.solvers.certificate import nonzero_norm
 from torchlight.solvers.device_steps import alike, minimizers
-from torchlight.solvers.filling import Filling, filling_of
+from torchlight.solvers.filling import Filling, Lacking, filling_of
 from torchlight.solvers.modulus import Modulus, modulus_of
-from torchlight.solvers.shared_gram import SharedGram, UnitGram, correlations, gram_under, scaled_to_unit, unit_gram
+from torchlight.solvers.shared_gram import SharedGram, UnitGram, correlations, unit_gram, unit_gram_under
 from torchlight.solvers.system import System, same_rows
 from torchlight.threads import single_threaded_map
 
@@ -23,7 +23,8 @@ SMALL = 1024  # columns: a start by products pays for a single item up to here, 
 ENOUGH = 8  # items: for these beyond
 MOST_LACKING = 0.5  # of the columns: with more samples lacking, a factor of all columns costs less
 ENOUGH_MASKS = 16  # photographs: for these the products that all masks share pay
-DAMPING = 1e-5  # of the unit diagonal: what fills in the samples that a photograph lacks
+NEAR = 1e-3  # of the tolerance, for items whose Gram matrix rounds by their company: 1e-14, far below a ridge of 1e-12
+DAMPING = 3e-5  # of the unit diagonal: what fills in the samples that a photograph lacks
 
 Group = Int[Tensor, " _"]
 
@@ -70,8 +71,9 @@ def batch_minimizers(
     base = unit_gram(shared.gram)
     worth_it = linear.shape[1] > 0 and (linear.shape[1] <= SMALL or linear.shape[0] >= ENOUGH)
     guess = modulus_of(base.gram) if worth_it else None
-    many = system.root.shape[0] >= ENOUGH_MASKS
-    filling = None if guess is None or not many else filling_of(shared.columns * base.inverse, guess, DAMPING)
+    alike = equal_weights(system)
+    fills = guess is not None and fill_pays(system, shared, alike)
+    filling = filling_of(shared.columns * base.inverse, guess, DAMPING) if guess is not None and fills else None
     batch = Batch(system, shared, base, guess, filling, linear, ridge, limits)
     x = torch.zeros_like(linear)
     steps = torch.zeros(x.shape[0], dtype=torch.int64, device=x.device)
@@ -80,17 +82,29 @@ def batch_minimizers(
         for items, found, spent in solved(batch, groups):
             x[items], steps[items] = found * size[items], spent
 
-    for _ in single_threaded_map(fill, tasks(system)):
+    for _ in single_threaded_map(fill, tasks(alike)):
         pass
     return x, steps
 
 
-def tasks(system: System) -> list[list[Group]]:
-    """Returns groups of items with equal weights, collected to some 48 items."""
+def fill_pays(system: System, shared: SharedGram, alike: list[Group]) -> bool:
+    """Returns whether so many photographs lack few samples that what they share is worth its products."""
+    if len(alike) < ENOUGH_MASKS:
+        return False
+    few = (lacking_of(shared, system.root[items[0]].square(), len(items)) for items in alike)
+    return sum(lacking is not None for lacking in few) >= ENOUGH_MASKS
+
+
+def equal_weights(system: System) -> list[Group]:
+    """Returns the items, those of equal weights together."""
     if system.root.shape[0] == 1:
-        everything = torch.arange(system.targets.shape[0], device=system.root.device)
-        return [[part] for part in everything.split(ITEMS_PER_TASK)]
-    return list(collected(part for items in same_rows(system.root) for part in items.split(ITEMS_PER_TASK)))
+        return [torch.arange(system.targets.shape[0], device=system.root.device)]
+    return same_rows(system.root)
+
+
+def tasks(alike: list[Group]) -> list[list[Group]]:
+    """Returns groups of items with equal weights, collected to some 48 items."""
+    return list(collected(part for items in alike for part in items.split(ITEMS_PER_TASK)))
 
 
 def collected(groups: Iterable[Group]) -> Iterator[list[Group]]:
@@ -108,11 +122,19 @@ def collected(groups: Iterable[Group]) -> Iterator[list[Group]]:
 def solved(
     batch: Batch, groups: list[Group]
 ) -> Iterator[tuple[Group, Float[Tensor, "items k"], Int[Tensor, " items"]]]:
-    """Yields the items, their minimisers for |b| = 1 and their steps, group by group."""
-    owns = [own_gram(batch, group) for group in groups]
-    starts = guessed(batch, groups, owns).split([len(group) for group in groups])
-    for group, own, start in zip(groups, owns, starts, strict=True):
-        found, spent = minimize(own, batch.linear[group] * own.inverse, start, batch.ridge, batch.limits)
+    """Yields the items, their minimisers for |b| = 1 and their steps, group by group.
+
+    A Gram matrix that the guess does not need is made just before its use: its memory is the last one's.
+    """
+    lacking = [lacking_of_group(batch, group) for group in groups]
+    owns = [None if filled else own_gram(batch, group) for group, filled in zip(groups, lacking, strict=True)]
+    starts = guessed(batch, groups, lacking, owns).split([len(group) for group in groups])
+    for number, (group, start) in enumerate(zip(groups, starts, strict=True)):
+        own = owns[number] or own_gram(batch, group)
+        near = 0.0 if own is batch.base else NEAR * batch.limits.tolerance
+        linear = batch.linear[group] * own.inverse
+        found, spent = minimize(own, linear, start, batch.ridge, batch.limits, near=near)
+        owns[number] = None
         yield group, found * own.inverse / batch.shared.norms, spent
 
 
@@ -120,11 +142,13 @@ def own_gram(batch: Batch, group: Group) -> UnitGram:
     """Returns the Gram matrix under the weights of a group."""
     if batch.system.root.shape[0] == 1:
         return batch.base
-    gram = gram_under(batch.shared, batch.system.root[group[0]].square())
-    return batch.base if gram is batch.shared.gram else scaled_to_unit(gram)
+    own = unit_gram_under(batch.shared, batch.system.root[group[0]].square())
+    return batch.base if own is None else own
 
 
-def guessed(batch: Batch, groups: list[Group], owns: list[UnitGram]) -> Float[Tensor, "items k"]:
+def guessed(
+    batch: Batch, groups: list[Group], lacking: list[Lacking | None], owns: list[UnitGram | None]
+) -> Float[Tensor, "items k"]:
     """Returns where the items are likely to end, from the Gram matrix that most share.
 
     An item of other weights, with the Gram matrix H, is taken for the photograph that samples where others do. Those
@@ -132,40 +156,75 @@ def guessed(batch: Batch, groups: list[Group], owns: list[UnitGram]) -> Float[Te
     c + (G - H) y, which is (G + d 1) y.
     """
     linear = batch.linear[torch.cat(groups)] * batch.base.inverse
-    if batch.guess is None:
-        return torch.zeros_like(linear)
-    for own, group, c in zip(owns, groups, linear.split([len(group) for group in groups]), strict=True):
-        if own is not batch.base:
-            y = damped(batch, group, own, c)
-            c.copy_(y @ batch.base.gram + DAMPING * y)
     start = torch.zeros_like(linear)
+    if batch.guess is None:
+        return start
+    others = torch.tensor([own is not batch.base for own, group in zip(owns, groups, strict=True) for _ in group])
+    if bool(others.any()):
+        y = damped(batch, groups, lacking, owns, linear)[others]
+        linear[others] = y @ batch.base.gram + DAMPING * y
     lit = (linear > 0).any(dim=1)
     if bool(lit.any()):
         start[lit] = batch.guess.minimizers(linear[lit])
     return start
 
 
-def damped(batch: Batch, group: Group, own: UnitGram, linear: Float[Tensor, "items k"]) -> Float[Tensor, "items k"]:
-    """Returns (H + d 1)^-1 c of every item of a group, by the samples that it lacks where they are few."""
-    change = batch.system.root[group[0]].square() - batch.shared.weights
-    lacking = change.nonzero()[:, 0]
-    few = lacking.shape[0] <= MOST_LACKING * linear.shape[1]
-    if batch.filling is not None and few and bool((change <= 0).all()):
-        return batch.filling.damped(lacking, -change[lacking], linear)
-    scale = own.norms * batch.base.inverse
-    return solved_directly(own.gram * scale[:, None] * scale, linear)
+def damped(
+    batch: Batch,
+    groups: list[Group],
+    lacking: list[Lacking | None],
+    owns: list[UnitGram | None],
+    linear: Float[Tensor, "items k"],
+) -> Float[Tensor, "items k"]:
+    """Returns (H + d 1)^-1 c of every item of other weights than most, by the samples it lacks where they are few."""
+    y = torch.zeros_like(linear)
+    filled: list[Lacking] = []
+    places: list[Tensor] = []
+    for own, lacks, place in zip(owns, lacking, places_of(groups), strict=True):
+        if lacks is not None:
+            filled.append(lacks)
+            places.append(place)
+        elif own is not None and own is not batch.base:
+            y[place] = solved_directly(own, batch.base, linear[place])
+    if batch.filling is not None and filled:
+        place = torch.cat(places)
+        y[place] = batch.filling.damped(filled, linear[place])
+    return y
 
 
-def solved_directly(gram: Float[Tensor, "k k"], linear: Float[Tensor, "items k"]) -> Float[Tensor, "items k"]:
-    """Returns (H + d 1)^-1 c of every row: in compiled code on a CPU."""
-    if gram.device.type == "cpu":
-        from torchlight.solvers.factor_kernel import solve_items  # numba is imported only where it is used
+def places_of(groups: list[Group]) -> Iterable[Tensor]:
+    """Returns where the items of each group are if one group follows another."""
+    sizes = [len(group) for group in groups]
+    return torch.arange(sum(sizes)).split(sizes)
 
-        x = torch.empty_like(linear)
-        solve_items(gram.numpy(), linear.numpy(), DAMPING, x.numpy())
-        return x
-    shifted = gram + DAMPING * torch.eye(gram.shape[0], dtype=gram.dtype, device=gram.device)
-    return torch.cholesky_solve(linear.T, torch.linalg.cholesky(shifted)).T
+
+def lacking_of_group(batch: Batch, group: Group) -> Lacking | None:
+    """Returns what is to be filled in by the samples that a group lacks; None where it is not, or there is nothing."""
+    if batch.filling is None:
+        return None
+    return lacking_of(batch.shared, batch.system.root[group[0]].square(), len(group))
+
+
+def lacking_of(shared: SharedGram, weights: Float[Tensor, " points"], items: int) -> Lacking | None:
+    """Returns what items of these weights lack; None where that is nothing, or much, or where they have more."""
+    change = weights - shared.weights
+    samples = change.nonzero()[:, 0]
+    few = 0 < samples.shape[0] <= MOST_LACKING * shared.columns.shape[1]
+    return Lacking(items, samples, -change[samples]) if few and bool((change <= 0).all()) else None
+
+
+def solved_directly(own: UnitGram, base: UnitGram, linear: Float[Tensor, "items k"]) -> Float[Tensor, "items k"]:
+    """Returns (H + d 1)^-1 c of every row, H = S G S with G the items' own matrix of unit diagonal.
+
+    It is S^-1 (G + d S^-2)^-1 S^-1 c; a column that the items do not see gets 0.
+    """
+    from torchlight.solvers.factor_kernel import solve_items  # numba is imported only where it is used
+
+    scale = own.norms * base.inverse
+    smaller = torch.where(scale > 0, 1 / scale, 0.0)
+    x = torch.empty_like(linear)
+    solve_items(own.gram.numpy(), (DAMPING * smaller.square()).numpy(), (linear * smaller).numpy(), x.numpy())
+    return x * smaller
 
 
 def minimize(
@@ -175,18 +234,19 @@ def minimize(
     ridge: float,
     limits: Limits,
     cosine: float = 0.0,
+    near: float = 0.0,
 ) -> tuple[Float[Tensor, "items k"], Int[Tensor, " items"]]:
     """Returns the minimisers of x'Gx/2 - c'x + ridge |x|^2/2 over x >= 0, and the steps.
 
-    On a CPU by compiled code, item by item, where a `cosine` above 0 lets an item of |b| = 1 end early
-    (`nnls_kernel.minimize_items`); elsewhere all items in lockstep.
+    On a CPU by compiled code, item by item, where a `cosine` above 0 lets an item of |b| = 1 end early and a `near`
+    above 0 spares the last factor (`nnls_kernel.minimize_items`); elsewhere all items in lockstep.
     """
     if linear.device.type == "cpu":
         from torchlight.solvers.nnls_kernel import minimize_items
 
         x, steps = start.clone(memory_format=torch.contiguous_format), torch.zeros(len(start), dtype=torch.int64)
         gram, c = unit.gram.contiguous(), linear.contiguous()
-        most = limits.max_steps
-        minimize_items(gram.numpy(), c.numpy(), ridge, limits.tolerance, cosine, most, x.numpy(), steps.numpy())
+        most, tolerance = limits.max_steps, limits.tolerance
+        minimize_items(gram.numpy(), c.numpy(), ridge, tolerance, cosine, near, most, x.numpy(), steps.numpy())
         return x, steps
     return minimizers(alike(unit.gram, linear), start, ridge, limits)

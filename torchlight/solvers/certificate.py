@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight.solvers.system import System
@@ -31,12 +31,20 @@ def nonnegative_certificate(system: System, x: Float[Tensor, "items coeffs"], ri
     residual = system.targets - system.predict(x)
     w = system.correlate(residual)
     size = nonzero_norm(system.targets)
-    norms = system.column_norms()
+    once, which = weights_once(system)
+    norms, reach = once.column_norms()[which], once.correlate(once.root)[which]
     return Certificate(
         relative_residual=torch.linalg.vector_norm(residual, dim=-1) / size,
         kkt_residual=kkt_residual(x, w - ridge * norms.square() * x, norms, size),
-        gap=duality_gap(system, residual, w, norms),
+        gap=gap_along(system.targets, residual, w, norms, reach, system.root),
     )
+
+
+def weights_once(system: System) -> tuple[System, Int[Tensor, " items"]]:
+    """Returns the first of neighbouring items of equal weights, and which of these each item's weights are."""
+    new = torch.cat([torch.ones_like(system.root[:1, 0]) > 0, (system.root[1:] != system.root[:-1]).any(dim=1)])
+    which = (new.cumsum(dim=0) - 1).expand(system.targets.shape[0])
+    return System(system.matrix, system.root[new], system.targets[: len(new)][new]), which
 
 
 def kkt_residual(

@@ -9,18 +9,29 @@ import numpy as np
 from torchlight.compiled import compiled, compiled_sums
 
 SMALLEST_PIVOT = 1e-14
+LEAST_ADDED = 1e-13
 TILE = 4
 
 
 @compiled
 @no_type_check
-def solve_items(gram, linear, damping, x):
-    """Sets every row of x to (G + damping 1)^-1 c, without a sign constraint; the damping grows until G is definite."""
+def solve_items(gram, damping, linear, x):
+    """Sets every row of x to (G + diag(damping))^-1 c, without a sign constraint.
+
+    Where that is not definite, the smallest of 1e-13, 1e-12, ... that makes it so is added to the diagonal.
+    """
     columns = gram.shape[0]
     factor = np.zeros((columns + TILE, columns + TILE))
     inverse = np.ones(columns + TILE)
     index = np.arange(columns)
-    factored(gram, index, columns, 0, damping, factor, inverse)
+    more = 0.0
+    while True:
+        gather(gram, index, 0, columns, more, factor)
+        for a in range(columns):
+            factor[a, a] += damping[a]
+        if cholesky(factor, inverse, 0, columns):
+            break
+        more = max(10.0 * more, LEAST_ADDED)
     for item in range(len(x)):
         substitute(factor, inverse, index, columns, linear[item], x[item])
 
@@ -58,14 +69,14 @@ def cholesky(factor, inverse, start, used):
     sums = np.zeros((TILE, TILE))
     for i in range(start, used, TILE):
         for j in range(0, i, TILE):
-            tile_product(factor, i, j, sums)
+            tile_product(factor, i, factor, j, sums)
             for a in range(TILE):
                 for b in range(TILE):
                     total = factor[i + a, j + b] - sums[a, b]
                     for c in range(b):
                         total -= factor[i + a, j + c] * factor[j + b, j + c]
                     factor[i + a, j + b] = total * inverse[j + b]
-        tile_product(factor, i, i, sums)
+        tile_product(factor, i, factor, i, sums)
         for a in range(TILE):
             for b in range(a + 1):
                 total = factor[i + a, i + b] - sums[a, b]
@@ -83,12 +94,12 @@ def cholesky(factor, inverse, start, used):
 
 @compiled_sums
 @no_type_check
-def tile_product(factor, i, j, sums):
-    """Fills the inner products of rows i to i + 3 with rows j to j + 3, over the columns before j.
+def tile_product(rows, i, factor, j, sums):
+    """Fills the inner products of rows i to i + 3 with the factor's rows j to j + 3, over the columns before j.
 
     Sixteen sums in registers: per eight numbers loaded sixteen are multiplied, so the processor never waits.
     """
-    r0, r1, r2, r3 = factor[i, :j], factor[i + 1, :j], factor[i + 2, :j], factor[i + 3, :j]
+    r0, r1, r2, r3 = rows[i, :j], rows[i + 1, :j], rows[i + 2, :j], rows[i + 3, :j]
     q0, q1, q2, q3 = factor[j, :j], factor[j + 1, :j], factor[j + 2, :j], factor[j + 3, :j]
     s00 = s01 = s02 = s03 = s10 = s11 = s12 = s13 = 0.0
     s20 = s21 = s22 = s23 = s30 = s31 = s32 = s33 = 0.0
@@ -117,15 +128,29 @@ def tile_product(factor, i, j, sums):
     sums[3, 0], sums[3, 1], sums[3, 2], sums[3, 3] = s30, s31, s32, s33
 
 
-@compiled_sums
+@compiled
 @no_type_check
 def substitute(factor, inverse, index, used, linear, values):
     """Solves L L' v = c on the passive columns."""
+    forward(factor, inverse, index, used, linear, values)
+    backward(factor, inverse, used, values)
+
+
+@compiled_sums
+@no_type_check
+def forward(factor, inverse, index, used, linear, values):
+    """Solves L v = c on the passive columns."""
     for a in range(used):
         row, total = factor[a], 0.0
         for b in range(a):
             total += row[b] * values[b]
         values[a] = (linear[index[a]] - total) * inverse[a]
+
+
+@compiled_sums
+@no_type_check
+def backward(factor, inverse, used, values):
+    """Solves L' v = v in place."""
     for a in range(used - 1, -1, -1):
         value = values[a] * inverse[a]
         values[a] = value

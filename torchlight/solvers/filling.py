@@ -15,8 +15,23 @@ ROWS_PER_TASK = 512
 
 
 @dataclass(frozen=True, eq=False)
+class Lacking:
+    """What a group of items of equal weights lacks.
+
+    Attributes:
+        items: how many they are.
+        samples: each once.
+        taken: the weight that is missing there, positive.
+    """
+
+    items: int
+    samples: Int[Tensor, " s"]
+    taken: Float[Tensor, " s"]
+
+
+@dataclass(frozen=True, eq=False)
 class Filling:
-    """(H + d 1)^-1 c for many H = G - C_s' D C_s, one set of samples s and weights D >= 0 taken away each.
+    """(H + d 1)^-1 c for many H = G - C_s' D C_s, one set of samples s and weights D > 0 taken away each.
 
     With G = V diag(g) V' and B = C V (diag(g) + d 1)^(-1/2), made once, the matrix of Woodbury's identity is only as
     large as the samples are many:
@@ -34,21 +49,20 @@ class Filling:
     basis: Float[Tensor, "k k"]
     rows: Float[Tensor, "points k"]
 
-    def damped(
-        self, lacking: Int[Tensor, " s"], taken: Float[Tensor, " s"], linear: Float[Tensor, "items k"]
-    ) -> Float[Tensor, "items k"]:
-        """Returns (H + d 1)^-1 c of every row.
+    def damped(self, lacking: list[Lacking], linear: Float[Tensor, "items k"]) -> Float[Tensor, "items k"]:
+        """Returns (H + d 1)^-1 c of every row: products that the groups of items share are made once.
 
         Args:
-            lacking: the samples s, each once.
-            taken: the diagonal of D, positive.
+            lacking: what each group lacks, one group after another.
             linear: c.
         """
-        rows, along = self.rows[lacking], linear @ self.basis
-        inner = torch.diag(1 / taken).addmm_(rows, rows.T, alpha=-1)
-        factor = torch.linalg.cholesky_ex(inner)[0]
-        filled = torch.cholesky_solve(rows @ along.T, factor).T @ rows
-        return (along + filled) @ self.basis.T
+        along = linear @ self.basis
+        for group, part in zip(lacking, along.split([group.items for group in lacking]), strict=True):
+            rows = self.rows[group.samples]
+            inner = torch.diag(1 / group.taken).addmm_(rows, rows.T, alpha=-1)
+            factor = torch.linalg.cholesky_ex(inner)[0]
+            part.add_(torch.cholesky_solve(rows @ part.T, factor).T @ rows)
+        return along @ self.basis.T
 
 
 def filling_of(columns: Float[Tensor, "points k"], guess: Modulus, damping: float) -> Filling:

@@ -1,7 +1,7 @@
 """Non-negative least squares on a Gram matrix in compiled code, many right-hand sides without the interpreter.
 
-Readable twin: `active_set.minimize_nonnegative`. An answer is a function of the set of passive columns alone (the
-last factor is that of the set in ascending order), so it does not depend on the start, nor on the number of threads.
+Readable twin: `active_set.minimize_nonnegative`. Unless less is asked, an answer is a function of the set of passive
+columns alone (the last factor is that of the set in ascending order), so it does not depend on the start.
 """
 
 from __future__ import annotations
@@ -10,11 +10,14 @@ from typing import no_type_check
 
 import numpy as np
 
-from torchlight.compiled import compiled, compiled_sums
-from torchlight.solvers.factor_kernel import TILE, factored, substitute
+from torchlight.compiled import compiled
+from torchlight.solvers.border_kernel import begin, bordered, empty_border
+from torchlight.solvers.factor_kernel import TILE, backward, factored, forward, substitute
+from torchlight.solvers.passive_kernel import collect, gradient, scatter
 
 PIVOTINGS = 20
 CHANCES = 3
+FEW_WRONG = 2  # columns on the wrong side: with no more the next set is likely the last, and is factored
 PROMISING = 0.1  # of the largest w outside: what comes in
 CAREFUL = 10  # pivotings in which only that does; where nearly all columns belong in, it would take hundreds
 SMALLEST_SHIFT = 1e-13  # just above the rounding of a float64 Gram matrix with unit diagonal
@@ -25,7 +28,7 @@ SMALLEST_SQUARE = 1e-12  # of |b|^2: smaller residuals are rounding
 
 @compiled
 @no_type_check
-def minimize_items(gram, linear, ridge, tolerance, cosine, max_steps, x, steps):
+def minimize_items(gram, linear, ridge, tolerance, cosine, near, max_steps, x, steps):
     """Minimises x'Gx/2 - c'x + ridge |x|^2/2 over x >= 0 for every row of c and x, in place.
 
     Args:
@@ -36,7 +39,9 @@ def minimize_items(gram, linear, ridge, tolerance, cosine, max_steps, x, steps):
         tolerance: on w = c - G x - ridge x: w_j at most this everywhere, and |w_j| where x_j > 0.
         cosine: above 0, where c is A'b of a |b| = 1, an item also ends where w = c - G x, of a minimum on a face with
             its negative values set to 0, is at most this times |r| in the sense of the tolerance; |r|^2 follows from w.
-        max_steps: factorisations per item, whole or in part.
+        near: 0: an answer is a function of the set of passive columns alone. Above 0 it may come from the factor of
+            another set (`border_kernel`) where |w_j| <= near if x_j > 0, which is less work.
+        max_steps: factorisations per item, whole or in part, and sets solved without.
         x: in: where to begin, only x > 0 counts while that leads to the end; out: the answer, at least 0.
         steps: out: factorisations spent; max_steps where that did not suffice.
     """
@@ -45,19 +50,20 @@ def minimize_items(gram, linear, ridge, tolerance, cosine, max_steps, x, steps):
     factor = np.zeros((room, room))
     inverse = np.ones(room)
     for item in range(len(x)):
-        steps[item] = minimize(gram, linear[item], ridge, tolerance, cosine, max_steps, x[item], factor, inverse)
+        steps[item] = minimize(gram, linear[item], ridge, tolerance, cosine, near, max_steps, x[item], factor, inverse)
 
 
 @compiled
 @no_type_check
-def minimize(gram, linear, ridge, tolerance, cosine, max_steps, x, factor, inverse):
+def minimize(gram, linear, ridge, tolerance, cosine, near, max_steps, x, factor, inverse):
     """Minimises for one item; returns the factorisations."""
     shift = max(ridge, SMALLEST_SHIFT)
     pulled = np.zeros(len(x))
     shifted = linear.copy()
     spent = 0
     for _ in range(SHIFT_ROUNDS):
-        more, shift = pivot(gram, shifted, shift, tolerance, cosine, max_steps - spent, x, factor, inverse)
+        left = max_steps - spent
+        more, shift = pivot(gram, shifted, shift, tolerance, cosine, near, left, x, factor, inverse)
         spent += more
         # a shift above the ridge leaves w = (shift - ridge) x - pulled where x > 0
         wrong = 0.0
@@ -73,41 +79,51 @@ def minimize(gram, linear, ridge, tolerance, cosine, max_steps, x, factor, inver
 
 @compiled
 @no_type_check
-def pivot(gram, linear, shift, tolerance, cosine, max_steps, x, factor, inverse):
+def pivot(gram, linear, shift, tolerance, cosine, near, max_steps, x, factor, inverse):
     """Minimises with a positive shift in place of the ridge; returns the factorisations and the shift that held.
 
     Block principal pivoting (Portugal, Judice and Vicente 1994): infeasible columns change sides while their number
     falls, the last one alone where it does not. Should that not end soon, Lawson and Hanson's method, which must,
-    begins where fewest were infeasible.
+    begins where fewest were infeasible. Sets that few changes make of the last one factored are solved with its factor
+    (`border_kernel`), until none is infeasible: then, and where hardly any is, the set gets a factor of its own, unless
+    what is `near` will do.
     """
     columns = len(x)
     passive = x > 0.0
-    index = np.empty(columns, np.int64)
-    values = np.empty(columns)
-    w, rough = np.empty(columns), np.empty(columns)
-    wrong = np.empty(columns, np.bool_)
-    fewest, chances, spent, used = columns + 1, CHANCES, 0, 0
-    for pivoting in range(PIVOTINGS):
-        if spent >= max_steps:
-            break
-        used, kept = collect(passive, index, used)
+    index, current, wrong = np.empty(columns, np.int64), np.empty(columns, np.int64), np.empty(columns, np.bool_)
+    values, w, rough = np.empty(columns), np.empty(columns), np.empty(columns)
+    border, few = empty_border(columns), 0 if near > 0.0 else FEW_WRONG
+    fewest, chances, spent, pivoting, used, rows, infeasible = columns + 1, CHANCES, 0, 0, 0, 0, 0
+    while pivoting < PIVOTINGS and spent < max_steps:
         spent += 1
-        shift = factored(gram, index, used, kept, shift, factor, inverse)
-        substitute(factor, inverse, index, used, linear, values)
-        gradient(gram, linear, index, used, values, w)
-        infeasible = judge(passive, index, used, values, w, tolerance, wrong)
+        listed = -1
+        if infeasible > few:
+            listed, rows = bordered(
+                gram, linear, shift, passive, index, used, factor, inverse, border, rows, current, values
+            )
+        exact = listed < 0
+        if exact:
+            used, kept = collect(passive, index, used)
+            shift = factored(gram, index, used, kept, shift, factor, inverse)
+            forward(factor, inverse, index, used, linear, values)
+            begin(border, index, used, values)
+            backward(factor, inverse, used, values)
+            current[:used], listed, rows = index[:used], used, 0
+        gradient(gram, linear, current, listed, values, w)
+        infeasible = judge(passive, current, listed, values, w, tolerance, wrong)
+        done = infeasible == 0 and (exact or unrest(current, listed, values, w, shift) <= near)
+        if done or (cosine > 0.0 and met(gram, linear, current, listed, values, cosine, rough)):
+            scatter(current, listed, values, x)
+            return spent, shift
         if infeasible == 0:
-            scatter(index, used, values, x)
-            return spent, shift
-        if cosine > 0.0 and met(gram, linear, index, used, values, cosine, rough):
-            scatter(index, used, values, x)
-            return spent, shift
+            continue  # to a factor of this very set
         if infeasible < fewest:
             fewest, chances = infeasible, CHANCES
-            scatter(index, used, values, x)
+            scatter(current, listed, values, x)
         else:
             chances -= 1
         swap(passive, wrong, w, PROMISING if pivoting < CAREFUL else 0.0, chances)
+        pivoting += 1
     more, shift = lawson_hanson(gram, linear, shift, tolerance, max_steps - spent, x, factor, inverse)
     return spent + more, shift
 
@@ -124,6 +140,16 @@ def judge(passive, index, used, values, w, tolerance, wrong):
         wrong[index[a]] = values[a] < 0.0
         infeasible += wrong[index[a]]
     return infeasible
+
+
+@compiled
+@no_type_check
+def unrest(index, used, values, w, shift):
+    """Returns the largest |w_j| of the passive columns, of the objective with the shift."""
+    worst = 0.0
+    for a in range(used):
+        worst = max(worst, abs(w[index[a]] - shift * values[a]))
+    return worst
 
 
 @compiled
@@ -170,8 +196,7 @@ def lawson_hanson(gram, linear, shift, tolerance, max_steps, x, factor, inverse)
     """Minimises from a feasible x, one column in at a time (Lawson and Hanson 1974); returns as `pivot` does.
 
     The objective falls with every step. A column that rounding alone lets in leaves at once, without a step; it is
-    not asked again before x has moved. New columns are appended, and only the rows of the factor below the first
-    column that left are made again.
+    not asked again before x has moved. New columns are appended; only rows below the first that left are made again.
     """
     columns = len(x)
     passive = x > 0.0
@@ -245,46 +270,3 @@ def steepest(w, passive, refused, tolerance):
         if not passive[j] and not refused[j] and w[j] > tolerance and (entrant < 0 or w[j] > w[entrant]):
             entrant = j
     return entrant
-
-
-@compiled
-@no_type_check
-def collect(passive, index, before):
-    """Lists the passive columns in ascending order; returns how many, and how many head the list as before."""
-    used, kept, same = 0, 0, True
-    for j in range(len(passive)):
-        if passive[j]:
-            same = same and used < before and index[used] == j
-            if same:
-                kept += 1
-            index[used] = j
-            used += 1
-    return used, kept
-
-
-@compiled
-@no_type_check
-def scatter(index, used, values, x):
-    """Sets x to the values on the passive columns, 0 elsewhere."""
-    x[:] = 0.0
-    for a in range(used):
-        x[index[a]] = max(values[a], 0.0)
-
-
-@compiled_sums
-@no_type_check
-def gradient(gram, linear, index, used, values, w):
-    """Sets w = c - G x, four columns of G at a time."""
-    w[:] = linear
-    a = 0
-    while a + 4 <= used:
-        v0, v1, v2, v3 = values[a], values[a + 1], values[a + 2], values[a + 3]
-        g0, g1, g2, g3 = gram[index[a]], gram[index[a + 1]], gram[index[a + 2]], gram[index[a + 3]]
-        for j in range(len(w)):
-            w[j] -= (v0 * g0[j] + v1 * g1[j]) + (v2 * g2[j] + v3 * g3[j])
-        a += 4
-    while a < used:
-        v0, g0 = values[a], gram[index[a]]
-        for j in range(len(w)):
-            w[j] -= v0 * g0[j]
-        a += 1

@@ -76,38 +76,45 @@ def weighted_gram(columns: Float[Tensor, "points k"], weights: Float[Tensor, " p
     return result
 
 
-def gram_under(shared: SharedGram, weights: Float[Tensor, " points"]) -> Float[Tensor, "k k"]:
+def unit_gram_under(shared: SharedGram, weights: Float[Tensor, " points"]) -> UnitGram | None:
     """Returns the Gram matrix under other weights W': G + C_d'(W' - W)_d C_d over the samples d where they differ.
 
-    Exact but for rounding: an entry is off by at most some 1e-14 of the product of its columns' lengths under W',
-    since a column that loses more than 0.99 of its |a|^2 gets its products from the samples themselves.
+    None where they do not. Exact but for rounding: an entry is off by at most some 1e-14, since a column that loses
+    more than 0.99 of its |a|^2 gets its products from the samples themselves.
     """
+    from torchlight.solvers.mirror_kernel import mirror  # numba is imported only where it is used
+
     change = weights - shared.weights
     differ = change.nonzero()[:, 0]
     if differ.shape[0] == 0:
-        return shared.gram
+        return None
     if differ.shape[0] > MOST_CHANGED * change.shape[0]:
-        seen = weights.nonzero()[:, 0]
-        return symmetric_sum(torch.zeros_like(shared.gram), shared.columns[seen], weights[seen])
-    gram = symmetric_sum(shared.gram, shared.columns[differ], change[differ])
-    lost = (gram.diagonal() < LOST * shared.gram.diagonal()).nonzero()[:, 0]
-    if lost.shape[0] > 0:
-        afresh = shared.columns.T @ (shared.columns[:, lost] * weights[:, None])
-        gram[:, lost], gram[lost] = afresh, afresh.T
-    return gram
+        gram = lower_sum(torch.zeros_like(shared.gram), shared.columns, weights)
+    else:
+        gram = lower_sum(lower_sum(shared.gram, shared.columns, change), shared.columns, -change, sign=-1)
+        lost = (gram.diagonal() < LOST * shared.gram.diagonal()).nonzero()[:, 0]
+        if lost.shape[0] > 0:
+            afresh = shared.columns.T @ (shared.columns[:, lost] * weights[:, None])
+            gram[:, lost], gram[lost] = afresh, afresh.T
+    norms, inverse = lengths(gram)
+    mirror(gram.numpy(), inverse.numpy())
+    gram.diagonal().fill_(1.0)
+    return UnitGram(gram, norms, inverse)
 
 
-def symmetric_sum(
-    gram: Float[Tensor, "k k"], columns: Float[Tensor, "points k"], weights: Float[Tensor, " points"]
+def lower_sum(
+    gram: Float[Tensor, "k k"], columns: Float[Tensor, "points k"], weights: Float[Tensor, " points"], sign: int = 1
 ) -> Float[Tensor, "k k"]:
-    """Returns G + C'WC, made below the diagonal block row by block row and copied above."""
-    weighted = (columns * weights[:, None]).T
+    """Returns G + sign C'WC with the positive weights only, on and below the diagonal; what is above has no meaning."""
+    some = (weights > 0).nonzero()[:, 0]
+    if some.shape[0] == 0:
+        return gram
+    rows = columns[some].mul_(weights[some].sqrt()[:, None])
     result = torch.empty_like(gram)
     for start in block_starts(columns):
         stop = start + COLUMNS_PER_TASK
         here = slice(start, stop)
-        torch.addmm(gram[here, :stop], weighted[here], columns[:, :stop], out=result[here, :stop])
-        result[:start, here] = result[here, :start].T
+        torch.addmm(gram[here, :stop], rows[:, here].T, rows[:, :stop], alpha=sign, out=result[here, :stop])
     return result
 
 
@@ -130,15 +137,16 @@ def fill_block(
 
 def unit_gram(gram: Float[Tensor, "k k"]) -> UnitGram:
     """Returns the Gram matrix of the columns divided by their lengths."""
-    return scaled_to_unit(gram.clone())
+    norms, inverse = lengths(gram)
+    scaled = gram * inverse[:, None] * inverse
+    scaled.diagonal().fill_(1.0)
+    return UnitGram(scaled, norms, inverse)
 
 
-def scaled_to_unit(gram: Float[Tensor, "k k"]) -> UnitGram:
-    """Returns `unit_gram`, made in place."""
+def lengths(gram: Float[Tensor, "k k"]) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"]]:
+    """Returns the columns' lengths, and what they are to be multiplied by: 1 / length, 0 where that is 0."""
     norms = gram.diagonal().clamp(min=0).sqrt()
-    inverse = torch.where(norms > 0, 1 / norms, 0.0)
-    gram.mul_(inverse[:, None]).mul_(inverse).diagonal().fill_(1.0)
-    return UnitGram(gram, norms, inverse)
+    return norms, torch.where(norms > 0, 1 / norms, 0.0)
 
 
 def correlations(shared: SharedGram, system: System) -> Float[Tensor, "items k"]:
