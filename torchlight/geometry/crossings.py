@@ -151,12 +151,17 @@ def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tens
         faces, weights = grid.places(contours.faces), rectangles.weights.numpy()
         return torch.from_numpy(contour_twin.visible_integrals(faces, slopes, shifts, weights, size))
     result = np.empty((len(scales), grid.rows * grid.columns))
-    kernel.visible_integrals(
-        contours.first,
-        contours.axes,
-        contours.spread,
-        shape.fields,
-        shape.ends,
+    room = len(shape.clusters)*CLUSTER+40
+    at,most=256,32
+    ar=[np.empty((7,room)),*(np.empty((14,room)) for _ in range(3)),np.empty(room),np.empty((2,room),np.uint32),np.empty(shape.axes.shape[1]),np.empty(shape.axes.shape[1],np.uint32),
+       np.empty((grid.rows*grid.lines,most),np.int64),np.zeros(grid.rows*grid.lines,np.int64),np.empty(at,np.uint32),np.empty(at,np.int32),np.empty(at,np.int32),np.empty(at,np.int64),np.empty(at),np.empty((3,3)),np.empty(3),
+       np.empty((grid.rows,grid.columns+1),np.int64),np.empty((4,64),np.int32)]
+    done=0
+    while done<len(slopes):
+      done=kernel.visible_integrals(
+        shape.axes,
+        shape.clusters,
+        np.array([shape.ends[:, [1, 4]].min(), shape.ends[:, [1, 4]].max(), shape.ends[:, [2, 5]].max()]),
         cones(rectangles).numpy(),
         grid.directions(torch.stack([rectangles.center, rectangles.right, rectangles.up], dim=1).numpy()),
         slopes,
@@ -166,7 +171,10 @@ def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tens
         grid.columns,
         grid.lines,
         result,
+        *ar,done,
     )
+      most*=2
+      ar[8]=np.empty((grid.rows*grid.lines,most),np.int64); ar[9][:]=0
     return torch.from_numpy(result)
 
 
@@ -180,11 +188,11 @@ def compiled_kernel(name: str) -> ModuleType | None:
         return None
 
 
-def cones(rectangles: Rectangles) -> Float[Tensor, "squares 4"]:
+def cones(rectangles: Rectangles) -> Float[Tensor, "squares 5"]:
     """Returns the unit axis and the half angle, in radians, of a cone about each rectangle."""
     axis = torch.nn.functional.normalize(rectangles.center, dim=-1)
     signs = [(a, b) for a in (-1, 1) for b in (-1, 1)]
     corners = torch.stack([rectangles.center + a * rectangles.right + b * rectangles.up for a, b in signs], dim=1)
     sine = torch.linalg.vector_norm(torch.linalg.cross(axis[:, None].expand_as(corners), corners, dim=-1), dim=-1)
     angle = torch.atan2(sine, (corners * axis[:, None]).sum(dim=-1)).amax(dim=1)
-    return torch.cat([axis, angle[:, None]], dim=1)
+    return torch.cat([axis, angle.cos()[:, None], angle.sin()[:, None]], dim=1)

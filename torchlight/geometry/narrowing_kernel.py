@@ -1,12 +1,13 @@
 """Which edges may bound a shadow for a rectangle of directions, compiled: narrowed down step by step.
 
-A table of edges is two arrays. One has a column per edge, so that the loops over them become vector code; its rows are
-y and z of both ends (0 to 3), two normals (4 to 9), the sides of the two faces (10, 11) and n_e (12). The other holds
-the edges' places among those whose ends stand next to each other, for what is asked of single edges.
+Edges come in clusters (`geometry.crossings`), each a small table: a column per edge, so that loops over them become
+vector code; its rows are y and z of both ends (0 to 3), two normals (4 to 9), the sides of the two faces (10, 11), and
+x of both ends (12, 13).
 
-The scene's edges are narrowed to those that may be contours for a square of directions, these to a coarse block of it,
-these to a fine block. What is known to be a contour for a whole block, with its n_e, is kept apart from what may turn;
-what meets no line of the grid is left out.
+The clusters are narrowed to the edges that may be contours for a square of directions, these to a coarse block of it,
+these to a fine block. What may turn within a block is a table with the same rows. What is known to be a contour for
+all of it, with its n_e, is kept apart: y and z of both ends (0 to 3), x of both ends (4, 5) and n_e (6). What meets no
+line of the grid is left out.
 
 Products and sums are not contracted or reordered (no fastmath): the facing of a face must come out equal to the bit
 wherever it is needed, or a contour stays open and a whole line changes sides.
@@ -19,10 +20,11 @@ from typing import no_type_check
 import numpy as np
 
 from torchlight.compiled import compiled
+from torchlight.geometry.visibility_kernel import CLUSTER, clusters_within
 
 ROUNDING = 1e-11  # of n . d for a unit normal and a direction to a face of the cube: a sign beyond it is certain
-SLACK = 1e-9  # of the sine of an angle between a cluster and a direction; of a line
-FIELDS = 13  # rows of a table
+SLACK = 1e-9  # of a line
+FIELDS, KNOWN = 14, 7  # rows of a table of edges that may turn; of known contours
 TURNING = 9.0  # in the place of an n_e that changes within a block
 
 
@@ -40,7 +42,7 @@ def facing_over(x, y, z, center, right, up):
 
 @compiled
 @no_type_check
-def judge(fields, rectangle, window, begin, end, verdict):
+def judge(fields, count, rectangle, window, verdict):
     """Writes n_e where both faces keep their facing, `TURNING` elsewhere, and 0 for what meets no line of the grid.
 
     The window is the least and the largest y of the directions' slopes, and the number of lines, which lie up to 1
@@ -50,7 +52,7 @@ def judge(fields, rectangle, window, begin, end, verdict):
     center = rectangle[0, 0], rectangle[0, 1], rectangle[0, 2]
     right = rectangle[1, 0], rectangle[1, 1], rectangle[1, 2]
     up = rectangle[2, 0], rectangle[2, 1], rectangle[2, 2]
-    for e in range(begin, end):
+    for e in range(np.uint64(count)):
         one = facing_over(fields[4, e], fields[5, e], fields[6, e], center, right, up)
         two = facing_over(fields[7, e], fields[8, e], fields[9, e], center, right, up)
         n = TURNING if one * two == 0.0 else fields[10, e] * one + fields[11, e] * two
@@ -61,11 +63,11 @@ def judge(fields, rectangle, window, begin, end, verdict):
 
 @compiled
 @no_type_check
-def sort_out(verdict, begin, end, sure, unsure):
+def sort_out(verdict, count, chosen):
     """Writes which edges are known contours and which may turn, without a branch: it would be hard to predict."""
     knowns, turnings = 0, 0
-    for e in range(begin, end):
-        sure[knowns], unsure[turnings] = e, e
+    for e in range(np.uint64(count)):
+        chosen[0, np.uint32(knowns)], chosen[1, np.uint32(turnings)] = e, e
         turns = verdict[e] == TURNING
         turnings += int(turns)
         knowns += int((verdict[e] != 0.0) & (not turns))
@@ -74,80 +76,55 @@ def sort_out(verdict, begin, end, sure, unsure):
 
 @compiled
 @no_type_check
-def copy(source, chosen, which, count, rows, target, begin):
-    """Copies the first rows of chosen edges behind those already in a table, and their places among all edges."""
-    fields, numbers = source
-    target_fields, target_numbers = target
-    for k in range(rows):
-        for i in range(count):
-            target_fields[k, begin + i] = fields[k, chosen[which, i]]
-    for i in range(count):
-        target_numbers[begin + i] = numbers[chosen[which, i]]
-
-
-@compiled
-@no_type_check
-def narrow(source, begin, end, rectangle, window, verdict, chosen, known, knowns, turning, turnings):
+def narrow(fields, count, rectangle, window, verdict, chosen, known, knowns, turning, turnings):
     """Copies the edges of a table that may be contours within a rectangle, behind those already there.
 
     Returns how many are known to be contours for all its directions, and how many may turn.
     """
-    judge(source[0], rectangle, window, begin, end, verdict)
-    more, open_ones = sort_out(verdict, begin, end, chosen[0], chosen[1])
-    copy(source, chosen, 0, more, 4, known, knowns)
-    copy(source, chosen, 1, open_ones, 12, turning, turnings)
-    for i in range(more):
-        known[0][12, knowns + i] = verdict[chosen[0, i]]
+    judge(fields, count, rectangle, window, verdict)
+    more, open_ones = sort_out(verdict, count, chosen)
+    for k in range(4):
+        copy(fields, k, chosen, 0, more, known, k, knowns)
+    copy(fields, 12, chosen, 0, more, known, 4, knowns)
+    copy(fields, 13, chosen, 0, more, known, 5, knowns)
+    for i in range(np.uint64(more)):
+        known[6, np.uint64(knowns) + i] = verdict[chosen[0, i]]
+    for k in range(FIELDS):
+        copy(fields, k, chosen, 1, open_ones, turning, k, turnings)
     return knowns + more, turnings + open_ones
 
 
 @compiled
 @no_type_check
-def bring_ends(ends, table, count, near, begin):
-    """Copies the ends of a table's edges next to each other, behind those already there, and numbers them anew."""
-    numbers = table[1]
-    for i in range(count):
-        e = numbers[i]
-        for k in range(8):
-            near[begin + i, k] = ends[e, k]
-        numbers[i] = begin + i
+def copy(fields, row, chosen, which, count, target, into, begin):
+    """Copies the chosen ones of a row behind those already in another."""
+    for i in range(np.uint64(count)):
+        target[into, np.uint64(begin) + i] = fields[row, chosen[which, i]]
 
 
 @compiled
 @no_type_check
-def empty_table(room):
+def empty_table(rows, room):
     """Returns a table with room for so many edges."""
-    return np.empty((FIELDS, room)), np.empty(room, np.uint32)
+    return np.empty((rows, room))
 
 
 @compiled
 @no_type_check
-def may_turn(axes, cluster, angle, direction):
-    """Returns whether a cluster's normals, up to an angle from its axis, may be at right angles to a direction."""
-    cosine = axes[cluster, 0] * direction[0] + axes[cluster, 1] * direction[1] + axes[cluster, 2] * direction[2]
-    return angle >= 0.5 * np.pi or abs(cosine) <= np.sin(angle) + SLACK
-
-
-@compiled
-@no_type_check
-def collect(first, axes, spread, edges, cone, rectangle, window, verdict, chosen, known, turning):
+def collect(axes, clusters, cones, square, rectangle, window, verdict, chosen, off, kept, known, turning):
     """Narrows the scene's edges to a rectangle of directions; clusters that hold no contour there are skipped.
 
     Args:
-        cone: unit axis of the rectangle in the scene's frame, and its half angle.
+        cone: unit axis of the rectangle in the scene's frame, and cosine and sine of its half angle.
         rectangle: centre, half width and half height in the grid's frame, [3, 3].
         window: of its slopes, as `judge` takes it.
     """
-    knowns, turnings, begin = 0, 0, -1
-    for cluster in range(len(axes) + 1):
-        wanted = cluster < len(axes) and may_turn(axes, cluster, spread[cluster] + cone[3], cone)
-        if wanted and begin < 0:
-            begin = first[cluster]
-        elif begin >= 0 and not wanted:
-            knowns, turnings = narrow(
-                edges, begin, first[cluster], rectangle, window, verdict, chosen, known, knowns, turning, turnings
-            )
-            begin = -1
+    knowns, turnings = 0, 0
+    keeps = clusters_within(axes, (cones[square, 0], cones[square, 1], cones[square, 2], cones[square, 3], cones[square, 4]), off, kept)
+    for place in range(keeps):
+        knowns, turnings = narrow(
+            clusters[kept[place]], CLUSTER, rectangle, window, verdict, chosen, known, knowns, turning, turnings
+        )
     return knowns, turnings
 
 
