@@ -153,15 +153,22 @@ def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tens
     result = np.empty((len(scales), grid.rows * grid.columns))
     room = len(shape.clusters)*CLUSTER+40
     at,most=256,32
-    ar=[np.empty((7,room)),*(np.empty((14,room)) for _ in range(3)),np.empty(room),np.empty((2,room),np.uint32),np.empty(shape.axes.shape[1]),np.empty(shape.axes.shape[1],np.uint32),
-       np.empty((grid.rows*grid.lines,most),np.int64),np.zeros(grid.rows*grid.lines,np.int64),np.empty(at,np.uint32),np.empty(at,np.int32),np.empty(at,np.int32),np.empty(at,np.int64),np.empty(at),np.empty((3,3)),np.empty(3),
-       np.empty((grid.rows,grid.columns+1),np.int64),np.empty((4,64),np.int32)]
+    ar=[np.empty((7,room)),*(np.empty((12,room),np.float32) for _ in range(3)),np.arange(room).astype(np.uint32),*(np.empty(room,np.uint32) for _ in range(2)),np.empty(room,np.float32),np.empty((2,room),np.uint32),np.empty(shape.axes.shape[1]),np.empty(shape.axes.shape[1],np.uint32),
+       np.empty((grid.rows*grid.lines,most),np.int64),np.zeros(grid.rows*grid.lines,np.int64),np.empty(at,np.uint32),np.empty(at,np.int32),np.empty(at,np.int32),np.empty(at,np.int64),np.empty(at),np.empty((3,3)),np.empty(4),
+       np.empty((grid.rows,grid.columns+1),np.int64),np.empty((4,64),np.int32),np.empty((room,16))]
     done=0
+    E=len(contours.ends)
+    if not hasattr(shape,'slim'):
+        object.__setattr__(shape,'slim',np.ascontiguousarray(shape.clusters[:,:12]).astype(np.float32))
+        object.__setattr__(shape,'edges',np.concatenate([shape.ends[:,:6],shape.fields[4:].T,np.zeros((shape.ends.shape[0],2))],1))
+        y=shape.ends[:E][:,[1,4]]
+        object.__setattr__(shape,'box',np.array([y.min(),y.max(),shape.ends[:E][:,[2,5]].max(),abs(y).max(),abs(shape.fields[[4,7]]).max(),abs(shape.fields[[5,8]]).max()]))
     while done<len(slopes):
       done=kernel.visible_integrals(
         shape.axes,
-        shape.clusters,
-        np.array([shape.ends[:, [1, 4]].min(), shape.ends[:, [1, 4]].max(), shape.ends[:, [2, 5]].max()]),
+        shape.slim,
+        shape.edges,
+        shape.box,
         cones(rectangles).numpy(),
         grid.directions(torch.stack([rectangles.center, rectangles.right, rectangles.up], dim=1).numpy()),
         slopes,
@@ -174,7 +181,7 @@ def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tens
         *ar,done,
     )
       most*=2
-      ar[8]=np.empty((grid.rows*grid.lines,most),np.int64); ar[9][:]=0
+      ar[11]=np.empty((grid.rows*grid.lines,most),np.int64); ar[12][:]=0
     return torch.from_numpy(result)
 
 

@@ -22,10 +22,10 @@ import numpy as np
 from torchlight.compiled import compiled
 from torchlight.geometry.visibility_kernel import CLUSTER, clusters_within
 
-ROUNDING = 1e-11  # of n . d for a unit normal and a direction to a face of the cube: a sign beyond it is certain
-SLACK = 1e-9  # of a line
-FIELDS, KNOWN = 14, 7  # rows of a table of edges that may turn; of known contours
-TURNING = 9.0  # in the place of an n_e that changes within a block
+FIELDS, KNOWN = 12, 8  # rows of a table of edges that may turn; of known contours
+ROUNDING = np.float32(4e-6)  # of n . d for a unit normal and a direction to a face of the cube, in float32
+SLACK = 1e-6  # of the largest number that a place on the grid is made of, in float32
+NONE, ONE, TURNING = np.float32(0), np.float32(1), np.float32(9)  # the last in the place of an n_e that changes
 
 
 @compiled
@@ -37,7 +37,7 @@ def facing_over(x, y, z, center, right, up):
     """
     middle = x * center[0] + y * center[1] + z * center[2]
     reach = abs(x * right[0] + y * right[1] + z * right[2]) + abs(x * up[0] + y * up[1] + z * up[2]) + ROUNDING
-    return (1.0 if middle > reach else 0.0) - (1.0 if middle < -reach else 0.0)
+    return (ONE if middle > reach else NONE) - (ONE if middle < -reach else NONE)
 
 
 @compiled
@@ -45,73 +45,73 @@ def facing_over(x, y, z, center, right, up):
 def judge(fields, count, rectangle, window, verdict):
     """Writes n_e where both faces keep their facing, `TURNING` elsewhere, and 0 for what meets no line of the grid.
 
-    The window is the least and the largest y of the directions' slopes, and the number of lines, which lie up to 1
-    above whole numbers. Rounding keeps the order of numbers: what holds at both ends of a window holds within.
+    The window is the least and the largest y of the directions' slopes, the number of lines, which lie up to 1 above
+    whole numbers, and how far rounding may move an edge.
     """
-    low, high, lines = window[0], window[1], window[2] + SLACK
-    center = rectangle[0, 0], rectangle[0, 1], rectangle[0, 2]
-    right = rectangle[1, 0], rectangle[1, 1], rectangle[1, 2]
-    up = rectangle[2, 0], rectangle[2, 1], rectangle[2, 2]
+    low, high = np.float32(window[0]), np.float32(window[1])
+    least, most = np.float32(-window[3]), np.float32(window[2] + window[3])
+    center = np.float32(rectangle[0, 0]), np.float32(rectangle[0, 1]), np.float32(rectangle[0, 2])
+    right = np.float32(rectangle[1, 0]), np.float32(rectangle[1, 1]), np.float32(rectangle[1, 2])
+    up = np.float32(rectangle[2, 0]), np.float32(rectangle[2, 1]), np.float32(rectangle[2, 2])
     for e in range(np.uint64(count)):
         one = facing_over(fields[4, e], fields[5, e], fields[6, e], center, right, up)
         two = facing_over(fields[7, e], fields[8, e], fields[9, e], center, right, up)
-        n = TURNING if one * two == 0.0 else fields[10, e] * one + fields[11, e] * two
+        n = TURNING if one * two == NONE else fields[10, e] * one + fields[11, e] * two
         top = max(fields[0, e] - low * fields[1, e], fields[2, e] - low * fields[3, e])
         bottom = min(fields[0, e] - high * fields[1, e], fields[2, e] - high * fields[3, e])
-        verdict[e] = 0.0 if (top <= 0.0) | (bottom > lines) else n
+        verdict[e] = NONE if (top <= least) | (bottom > most) else n
 
 
 @compiled
 @no_type_check
 def sort_out(verdict, count, chosen):
     """Writes which edges are known contours and which may turn, without a branch: it would be hard to predict."""
-    knowns, turnings = 0, 0
+    knowns, turnings = np.uint32(0), np.uint32(0)
     for e in range(np.uint64(count)):
-        chosen[0, np.uint32(knowns)], chosen[1, np.uint32(turnings)] = e, e
+        chosen[0, knowns], chosen[1, turnings] = e, e
         turns = verdict[e] == TURNING
-        turnings += int(turns)
-        knowns += int((verdict[e] != 0.0) & (not turns))
+        turnings = np.uint32(turnings + np.uint32(turns))
+        knowns = np.uint32(knowns + np.uint32((verdict[e] != NONE) & (not turns)))
     return knowns, turnings
 
 
 @compiled
 @no_type_check
-def narrow(fields, count, rectangle, window, verdict, chosen, known, knowns, turning, turnings):
+def narrow(fields, numbers, count, rectangle, window, ends, verdict, chosen, known, knowns, turning, places, turnings):
     """Copies the edges of a table that may be contours within a rectangle, behind those already there.
 
     Returns how many are known to be contours for all its directions, and how many may turn.
     """
     judge(fields, count, rectangle, window, verdict)
     more, open_ones = sort_out(verdict, count, chosen)
-    for k in range(4):
-        copy(fields, k, chosen, 0, more, known, k, knowns)
-    copy(fields, 12, chosen, 0, more, known, 4, knowns)
-    copy(fields, 13, chosen, 0, more, known, 5, knowns)
-    for i in range(np.uint64(more)):
-        known[6, np.uint64(knowns) + i] = verdict[chosen[0, i]]
+    for i in range(more):
+        bring(ends, numbers[chosen[0, i]], verdict[chosen[0, i]], known, np.uint64(knowns) + i)
     for k in range(FIELDS):
-        copy(fields, k, chosen, 1, open_ones, turning, k, turnings)
+        copy(fields, k, chosen, open_ones, turning, turnings)
+    for i in range(open_ones):
+        places[np.uint64(turnings) + i] = numbers[chosen[1, i]]
     return knowns + more, turnings + open_ones
 
 
 @compiled
 @no_type_check
-def copy(fields, row, chosen, which, count, target, into, begin):
+def bring(edges, e, n, known, k):
+    """Writes a known contour into its table."""
+    known[0, k], known[1, k], known[2, k], known[3, k] = edges[e, 1], edges[e, 2], edges[e, 4], edges[e, 5]
+    known[4, k], known[5, k], known[6, k] = edges[e, 0], edges[e, 3], n
+
+
+@compiled
+@no_type_check
+def copy(fields, row, chosen, count, target, begin):
     """Copies the chosen ones of a row behind those already in another."""
     for i in range(np.uint64(count)):
-        target[into, np.uint64(begin) + i] = fields[row, chosen[which, i]]
+        target[row, np.uint64(begin) + i] = fields[row, chosen[1, i]]
 
 
 @compiled
 @no_type_check
-def empty_table(rows, room):
-    """Returns a table with room for so many edges."""
-    return np.empty((rows, room))
-
-
-@compiled
-@no_type_check
-def collect(axes, clusters, cones, square, rectangle, window, verdict, chosen, off, kept, known, turning):
+def collect(axes, clusters, cones, square, rectangle, window, edges, verdict, chosen, off, kept, known, turning, near):
     """Narrows the scene's edges to a rectangle of directions; clusters that hold no contour there are skipped.
 
     Args:
@@ -119,12 +119,22 @@ def collect(axes, clusters, cones, square, rectangle, window, verdict, chosen, o
         rectangle: centre, half width and half height in the grid's frame, [3, 3].
         window: of its slopes, as `judge` takes it.
     """
-    knowns, turnings = 0, 0
+    knowns, turnings = np.uint64(0), np.uint64(0)
     keeps = clusters_within(axes, (cones[square, 0], cones[square, 1], cones[square, 2], cones[square, 3], cones[square, 4]), off, kept)
     for place in range(keeps):
-        knowns, turnings = narrow(
-            clusters[kept[place]], CLUSTER, rectangle, window, verdict, chosen, known, knowns, turning, turnings
-        )
+        c = kept[place]
+        fields = clusters[c]
+        judge(fields, CLUSTER, rectangle, window, verdict)
+        more, open_ones = sort_out(verdict, CLUSTER, chosen)
+        for i in range(more):
+            bring(edges, np.uint64(CLUSTER) * c + chosen[0, i], verdict[chosen[0, i]], known, knowns + i)
+        for i in range(open_ones):
+            e = chosen[1, i]
+            for k in range(16):
+                near[turnings + i, k] = edges[np.uint64(CLUSTER) * c + e, k]
+            for k in range(FIELDS):
+                turning[k, turnings + i] = fields[k, e]
+        knowns, turnings = knowns + more, turnings + open_ones
     return knowns, turnings
 
 
@@ -144,10 +154,11 @@ def part_of(rectangle, along, top, bottom, left, right, part):
 
 @compiled
 @no_type_check
-def window_of(slopes, square, top, bottom, left, right, window):
+def window_of(slopes, square, top, bottom, left, right, box, window):
     """Writes the least and the largest y of the slopes of rows top to bottom and columns left to right of a square."""
     window[0], window[1] = np.inf, -np.inf
     for i in range(top, bottom):
         for j in range(left, right):
             window[0] = min(window[0], slopes[square, i, j, 1])
             window[1] = max(window[1], slopes[square, i, j, 1])
+    window[3] = SLACK * (box[3] + box[2] * max(abs(window[0]), abs(window[1])))
