@@ -1,16 +1,16 @@
 """Which edges may bound a shadow for a rectangle of directions, compiled: narrowed down step by step.
 
-Edges come in clusters (`geometry.crossings`), each a small table: a column per edge, so that loops over them become
-vector code; its rows are y and z of both ends (0 to 3), two normals (4 to 9), the sides of the two faces (10, 11), and
-x of both ends (12, 13).
+Edges come in clusters (`geometry.crossings`), each a small table in float32: a column per edge, so that loops over them
+become vector code; its rows are y and z of both ends (0 to 3), two normals (4 to 9), and the sides of the two faces
+(10, 11). The clusters are narrowed to the edges that may be contours for a square of directions, these to a coarse
+block of it, these to a fine block. What may turn within a block is a table with the same rows, and a number for each
+edge: its row among those of the square whose numbers in float64 stand near each other.
 
-The clusters are narrowed to the edges that may be contours for a square of directions, these to a coarse block of it,
-these to a fine block. What may turn within a block is a table with the same rows. What is known to be a contour for
-all of it, with its n_e, is kept apart: y and z of both ends (0 to 3), x of both ends (4, 5) and n_e (6). What meets no
-line of the grid is left out.
+What is known to be a contour for a whole block, with its n_e, is kept apart, in float64: y and z of both ends (0 to 3),
+x of both ends (4, 5) and n_e (6). What meets no line of the grid is left out.
 
-Products and sums are not contracted or reordered (no fastmath): the facing of a face must come out equal to the bit
-wherever it is needed, or a contour stays open and a whole line changes sides.
+Here float32 is enough: what it leaves in doubt may turn. Products and sums are not contracted or reordered (no
+fastmath).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ import numpy as np
 from torchlight.compiled import compiled
 from torchlight.geometry.visibility_kernel import CLUSTER, clusters_within
 
-FIELDS, KNOWN = 12, 8  # rows of a table of edges that may turn; of known contours
-ROUNDING = np.float32(4e-6)  # of n . d for a unit normal and a direction to a face of the cube, in float32
-SLACK = 1e-6  # of the largest number that a place on the grid is made of, in float32
+FIELDS, VALUES = 12, 16  # rows of a table; numbers of an edge
+ROUNDING = 4e-6  # of n . d for a unit normal and a direction to a face of the cube: a sign beyond it is certain
+SLACK = 1e-6  # of the largest numbers that a line is made of
 NONE, ONE, TURNING = np.float32(0), np.float32(1), np.float32(9)  # the last in the place of an n_e that changes
 
 
@@ -36,7 +36,9 @@ def facing_over(x, y, z, center, right, up):
     The rectangle is its centre, half its width and half its height.
     """
     middle = x * center[0] + y * center[1] + z * center[2]
-    reach = abs(x * right[0] + y * right[1] + z * right[2]) + abs(x * up[0] + y * up[1] + z * up[2]) + ROUNDING
+    reach = (
+        abs(x * right[0] + y * right[1] + z * right[2]) + abs(x * up[0] + y * up[1] + z * up[2]) + np.float32(ROUNDING)
+    )
     return (ONE if middle > reach else NONE) - (ONE if middle < -reach else NONE)
 
 
@@ -77,25 +79,30 @@ def sort_out(verdict, count, chosen):
 
 @compiled
 @no_type_check
-def narrow(fields, numbers, count, rectangle, window, ends, verdict, chosen, known, knowns, turning, places, turnings):
-    """Copies the edges of a table that may be contours within a rectangle, behind those already there.
+def narrow(source, places, level, count, rectangle, window, near, verdict, chosen, known, knowns, turning):
+    """Writes the edges of a table that may turn within a rectangle into the next, and adds the known contours.
 
     Returns how many are known to be contours for all its directions, and how many may turn.
+
+    Args:
+        places: numbers of the edges of the tables of each level, [3, room].
+        level: of the source.
     """
-    judge(fields, count, rectangle, window, verdict)
-    more, open_ones = sort_out(verdict, count, chosen)
+    judge(source, count, rectangle, window, verdict)
+    more, turnings = sort_out(verdict, count, chosen)
     for i in range(more):
-        bring(ends, numbers[chosen[0, i]], verdict[chosen[0, i]], known, np.uint64(knowns) + i)
+        add_known(near, places[level, chosen[0, i]], verdict[chosen[0, i]], known, np.uint64(knowns) + i)
     for k in range(FIELDS):
-        copy(fields, k, chosen, open_ones, turning, turnings)
-    for i in range(open_ones):
-        places[np.uint64(turnings) + i] = numbers[chosen[1, i]]
-    return knowns + more, turnings + open_ones
+        for i in range(turnings):
+            turning[k, i] = source[k, chosen[1, i]]
+    for i in range(turnings):
+        places[level + 1, i] = places[level, chosen[1, i]]
+    return knowns + more, turnings
 
 
 @compiled
 @no_type_check
-def bring(edges, e, n, known, k):
+def add_known(edges, e, n, known, k):
     """Writes a known contour into its table."""
     known[0, k], known[1, k], known[2, k], known[3, k] = edges[e, 1], edges[e, 2], edges[e, 4], edges[e, 5]
     known[4, k], known[5, k], known[6, k] = edges[e, 0], edges[e, 3], n
@@ -103,62 +110,58 @@ def bring(edges, e, n, known, k):
 
 @compiled
 @no_type_check
-def copy(fields, row, chosen, count, target, begin):
-    """Copies the chosen ones of a row behind those already in another."""
-    for i in range(np.uint64(count)):
-        target[row, np.uint64(begin) + i] = fields[row, chosen[1, i]]
-
-
-@compiled
-@no_type_check
 def collect(axes, clusters, cones, square, rectangle, window, edges, verdict, chosen, off, kept, known, turning, near):
-    """Narrows the scene's edges to a rectangle of directions; clusters that hold no contour there are skipped.
+    """Narrows the scene's edges to a square of directions; clusters that hold no contour there are skipped.
 
     Args:
-        cone: unit axis of the rectangle in the scene's frame, and cosine and sine of its half angle.
+        cones: unit axis of each square in the scene's frame, and cosine and sine of its half angle.
         rectangle: centre, half width and half height in the grid's frame, [3, 3].
         window: of its slopes, as `judge` takes it.
+        near: gets the numbers in float64 of what may turn.
     """
+    cone = cones[square, 0], cones[square, 1], cones[square, 2], cones[square, 3], cones[square, 4]
     knowns, turnings = np.uint64(0), np.uint64(0)
-    keeps = clusters_within(axes, (cones[square, 0], cones[square, 1], cones[square, 2], cones[square, 3], cones[square, 4]), off, kept)
-    for place in range(keeps):
-        c = kept[place]
-        fields = clusters[c]
-        judge(fields, CLUSTER, rectangle, window, verdict)
-        more, open_ones = sort_out(verdict, CLUSTER, chosen)
+    for place in range(clusters_within(axes, cone, off, kept)):
+        cluster = clusters[kept[place]]
+        base = np.uint64(CLUSTER) * kept[place]
+        judge(cluster, CLUSTER, rectangle, window, verdict)
+        more, some = sort_out(verdict, CLUSTER, chosen)
         for i in range(more):
-            bring(edges, np.uint64(CLUSTER) * c + chosen[0, i], verdict[chosen[0, i]], known, knowns + i)
-        for i in range(open_ones):
-            e = chosen[1, i]
-            for k in range(16):
-                near[turnings + i, k] = edges[np.uint64(CLUSTER) * c + e, k]
+            add_known(edges, base + chosen[0, i], verdict[chosen[0, i]], known, knowns + i)
+        for i in range(some):
+            e, to = chosen[1, i], turnings + i
+            for k in range(VALUES):
+                near[to, k] = edges[base + e, k]
             for k in range(FIELDS):
-                turning[k, turnings + i] = fields[k, e]
-        knowns, turnings = knowns + more, turnings + open_ones
+                turning[k, to] = cluster[k, e]
+        knowns, turnings = knowns + more, turnings + some
     return knowns, turnings
 
 
 @compiled
 @no_type_check
-def part_of(rectangle, along, top, bottom, left, right, part):
+def part_of(rectangles, square, along, top, bottom, left, right, part):
     """Writes the rectangle spanned by the directions of rows top to bottom and columns left to right, ends excluded."""
     for k in range(3):
         part[0, k] = (
-            rectangle[0, k]
-            + rectangle[1, k] * ((left + right) / along - 1.0)
-            + rectangle[2, k] * (1.0 - (top + bottom) / along)
+            rectangles[square, 0, k]
+            + rectangles[square, 1, k] * ((left + right) / along - 1.0)
+            + rectangles[square, 2, k] * (1.0 - (top + bottom) / along)
         )
-        part[1, k] = rectangle[1, k] * ((right - left - 1) / along)
-        part[2, k] = rectangle[2, k] * ((bottom - top - 1) / along)
+        part[1, k] = rectangles[square, 1, k] * ((right - left - 1) / along)
+        part[2, k] = rectangles[square, 2, k] * ((bottom - top - 1) / along)
 
 
 @compiled
 @no_type_check
-def window_of(slopes, square, top, bottom, left, right, box, window):
-    """Writes the least and the largest y of the slopes of rows top to bottom and columns left to right of a square."""
+def window_of(slopes, square, top, bottom, left, right, reach, window):
+    """Writes the least and the largest y of some slopes of a square, and how far rounding may move an edge, in lines.
+
+    The slopes are those of rows top to bottom and columns left to right, ends excluded.
+    """
     window[0], window[1] = np.inf, -np.inf
     for i in range(top, bottom):
         for j in range(left, right):
             window[0] = min(window[0], slopes[square, i, j, 1])
             window[1] = max(window[1], slopes[square, i, j, 1])
-    window[3] = SLACK * (box[3] + box[2] * max(abs(window[0]), abs(window[1])))
+    window[3] = SLACK * (1.0 + reach[3] + reach[2] * max(abs(window[0]), abs(window[1])))
