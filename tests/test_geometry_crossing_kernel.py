@@ -35,7 +35,7 @@ def without(places: np.ndarray, steps: np.ndarray, sheets: int) -> tuple[bool, n
 def test_ends_without_a_sort_are_those_of_sorted_crossings(count: int, sheets: int) -> None:
     rng = np.random.default_rng(count)
     places, steps = rng.uniform(0, COLUMNS, count), rng.choice([-2, -1, 1, 2], count)
-    places = np.int64(places.view(np.int64) & ~7).view(np.float64)  # as they are kept
+    places = (places.view(np.int64) & ~np.int64(7)).view(np.float64)  # as they are kept
     done, found = without(places, steps, sheets)
     assert done
     np.testing.assert_array_equal(found, by_sorting(places, steps, sheets))
