@@ -13,7 +13,8 @@ def by_sorting(places: np.ndarray, steps: np.ndarray, sheets: int) -> np.ndarray
     """The differences of one row: weight x share of each sample right of every end."""
     result = np.zeros(COLUMNS + 1, dtype=np.int64)
     for k in np.argsort(places):
-        was, sheets = sheets, sheets + steps[k]
+        was = sheets
+        sheets = was + int(steps[k])
         if (was == 0) != (sheets == 0):
             sign, column = (1 if was == 0 else -1), int(places[k])
             part = int(np.rint(sign * WEIGHT * (column + 1 - places[k])))
