@@ -200,6 +200,39 @@ def test_a_line_may_have_any_number_of_crossings() -> None:
     assert_close(found, by_twin(contours, RECEIVER, parts, 1), rtol=0, atol=1e-12)
 
 
+def test_contours_may_coincide() -> None:
+    """Boxes that touch: their common edges have four faces and two contours, one exactly on the other."""
+    boxes = [box((0.25, 0.3, 0.4 + 0.3 * (k % 2)), x=-1.0 + 0.25 * k, y=0.3 * (k % 2)) for k in range(9)]
+    contours, parts = prepare(torch.cat(boxes), 1e-6), rectangles(11, 4, 4)
+    found = visible_integrals(on_grid(contours, RECEIVER, 2), parts)
+    assert_close(found, by_twin(contours, RECEIVER, parts, 2), rtol=0, atol=1e-12)
+
+
+def test_directions_may_lie_in_faces_and_lines_may_touch_corners() -> None:
+    """Straight down on unturned boxes, with lines through the corners: what float32 cannot decide float64 does."""
+    boxes = torch.cat([box((0.6, 0.8, 0.7)), box((0.2, 0.4, 0.3), x=0.9, y=0.6, z=0.4)])
+    step = torch.linspace(-0.4, 0.4, 5, dtype=torch.float64)
+    directions = torch.stack([step.expand(5, 5), -step[:, None].expand(5, 5), torch.ones(5, 5).double()], dim=-1)
+    frame = torch.eye(3, dtype=torch.float64)
+    towards, shifts = torch.nn.functional.normalize(directions, dim=-1)[None], torch.zeros(1, 5, 5).double()
+    parts = Rectangles(frame[2:], frame[:1] / 2, frame[1:2] / 2, towards, torch.ones(1, 5, 5).double(), shifts)
+    contours, receiver = prepare(boxes, 1e-6), Receiver((0.0, 0.0), (4.0, 4.0), (20, 20))
+    found = visible_integrals(on_grid(contours, receiver, 1), parts)
+    assert_close(found, by_twin(contours, receiver, parts, 1), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("unit", "away"), [(1e-4, 0.0), (1e5, 0.0), (1.0, 3e4)])
+def test_float32_leaves_nothing_out(unit: float, away: float) -> None:
+    """In any unit, and with something so far away that float32 hardly knows where: many small faces, low light too."""
+    generator = torch.Generator().manual_seed(3)
+    small = soup(6, 60)[:, :1] + 0.1 * torch.randn(78, 3, 3, generator=generator, dtype=torch.float64)
+    there = soup(7, 8) * away + torch.tensor([0.0, away, 0.0])
+    contours, parts = prepare(torch.cat([small, there]) * unit, 1e-9 * unit), rectangles(12, 6, 7)
+    receiver = Receiver((0.1 * unit, -0.2 * unit), (4.0 * unit, 3.6 * unit), (24, 18))
+    found = visible_integrals(on_grid(contours, receiver, 2), parts)
+    assert_close(found, by_twin(contours, receiver, parts, 2), rtol=0, atol=1e-10)
+
+
 def test_without_numba_the_twin_answers_with_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     contours, parts = prepare(soup(2, 12), 1e-6), rectangles(2, 2, 2)
     shape = on_grid(contours, RECEIVER, 1)
@@ -241,6 +274,19 @@ def test_a_cut_edge_gets_one_new_corner() -> None:
     corners, visits = np.unique(contours.ends[cut].reshape(-1, 3), axis=0, return_counts=True)
     assert len(corners) >= 3
     assert (visits == 2).all()
+
+
+def test_faces_about_an_edge_are_paired_in_turn() -> None:
+    """Six half planes about the z axis, given in any order: neighbours in angle of their lines belong together."""
+    angle = torch.tensor([10.0, 130.0, 40.0, 100.0, 70.0, 160.0]).double().deg2rad()
+    rim = torch.stack([angle.cos(), angle.sin(), 0.5 + 0 * angle], dim=-1)
+    feet, tops = torch.tensor([0.0, 0.0, 0.2]).double(), torch.tensor([0.0, 0.0, 0.9]).double()
+    faces = torch.stack([feet.expand(6, 3), tops.expand(6, 3), rim], dim=1)
+    contours = prepare(faces, 1e-9)
+    upright = (contours.ends[..., :2] == 0).all(axis=(1, 2))
+    assert upright.sum() == 3
+    cosine = abs((contours.normals[upright, 0] * contours.normals[upright, 1]).sum(axis=1))
+    np.testing.assert_allclose(cosine, np.cos(np.radians(30.0)), atol=1e-12)
 
 
 def test_double_faces_count_once() -> None:

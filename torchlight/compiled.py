@@ -13,10 +13,11 @@ from contextlib import suppress
 from typing import Any, no_type_check
 from weakref import WeakSet
 
-from numba import njit
+from numba import njit, types
 from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.runtime import rtsys
+from numba.extending import intrinsic
 
 ANNOUNCEMENT = "compiling once for this machine (about half a minute)"
 
@@ -66,6 +67,23 @@ class Stored(FunctionCache):
             if found is not None:
                 return found
         return super().load_overload(sig, target_context)
+
+
+@intrinsic
+def borrowed(_: Any, array: Any) -> Any:
+    """Returns, within compiled code, the same array without an owner; the owner must outlive it.
+
+    Every call that hands on an array counts its owner's references with locked instructions, tens of cycles each. What
+    has no owner is not counted, so that small functions cost nothing.
+    """
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        result = context.make_array(array)(context, builder, arguments[0])
+        result.meminfo = context.get_constant_null(types.MemInfoPointer(types.voidptr))
+        result.parent = context.get_constant_null(types.pyobject)
+        return result._getvalue()
+
+    return array(array), code
 
 
 class Announcer(event.Listener):

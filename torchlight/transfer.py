@@ -31,7 +31,7 @@ from torchlight.light.bases import Basis
 from torchlight.precision import check_precision
 from torchlight.threads import ordered_map
 
-ALGORITHM = "transport-2"  # part of the cache key: raise it whenever the numbers change
+ALGORITHM = "transport-3"  # part of the cache key: raise it whenever the numbers change
 MEMORY_BUDGET = 4 * 2**30  # bytes the transport itself may take
 LINES = 2  # per row of samples and direction
 DIRECTIONS_PER_CHUNK = 4096

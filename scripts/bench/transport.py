@@ -29,7 +29,7 @@ from torch import Tensor
 from visibility import meshes
 
 from torchlight.geometry.contours import scene_contours
-from torchlight.geometry.crossings import on_grid
+from torchlight.geometry.crossings import FIELDS, on_grid
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
 from torchlight.light import cubemap
@@ -122,7 +122,7 @@ def met(scene: Scene, resolution: int, subsamples: int) -> float:
     shape = on_grid(scene_contours(scene), scene.receiver, LINES)
     rectangles = directions_of(cubemap.whole_texels(resolution), subsamples)
     towards = rectangles.directions[::SOME].reshape(-1, 3)[::SOME].numpy()
-    slopes, fields = shape.grid.slopes(towards), shape.fields[:, : len(shape.contours.ends)]
+    slopes, fields = shape.grid.slopes(towards), shape.edges[: len(shape.contours.ends), FIELDS].T
     total = 0.0
     for x, y in slopes:
         facing = [np.where(fields[k] * x + fields[k + 1] * y + fields[k + 2] > 0, 1.0, -1.0) for k in (4, 7)]

@@ -58,10 +58,8 @@ class DeviceContours:
 
 def on_device(shape: GridContours, device: torch.device | str) -> DeviceContours:
     """Returns the edges on a device."""
-    count = len(shape.contours.ends)
-    ends = torch.from_numpy(np.ascontiguousarray(shape.ends[:count, :6].T)).to(device)
-    fields = torch.from_numpy(shape.fields[:, :count]).to(device)
-    return DeviceContours(shape.grid, ends.unflatten(0, (2, 3)), fields[4:10].unflatten(0, (2, 3)), fields[10:])
+    edges = torch.from_numpy(np.ascontiguousarray(shape.edges[: len(shape.contours.ends), :14].T)).to(device)
+    return DeviceContours(shape.grid, edges[:6].unflatten(0, (2, 3)), edges[6:12].unflatten(0, (2, 3)), edges[12:])
 
 
 def visible_integrals(shape: DeviceContours, rectangles: Rectangles) -> Float[Tensor, "squares points"]:

@@ -5,8 +5,8 @@ grid: x in columns of samples, y in lines (`lines` to a row of samples), z in th
 by its slope (x, y) = (dx / dz, dy / dz) in these units, and projects the point p to p_xy - (x, y) p_z. Sums are
 integers (the weights of a square add up to a fixed number), so that they neither drift nor depend on their order.
 
-Tables of edges are those of `geometry.narrowing_kernel`, which leaves few of them for a block of directions; lists of
-crossings are those of `geometry.crossing_kernel`.
+Tables of edges are those of `geometry.narrowing_kernel`, which leaves few of them for a block of directions;
+`geometry.meeting_kernel` finds their crossings and `geometry.crossing_kernel` what these hide.
 """
 
 from __future__ import annotations
@@ -15,139 +15,68 @@ from typing import no_type_check
 
 import numpy as np
 
-from torchlight.compiled import compiled
+from torchlight.compiled import borrowed, compiled
 from torchlight.geometry.crossing_kernel import (
-    COUNTED,
     INSERTED,
-    empty_lists,
-    longer,
-    packed,
+    MANY,
+    add_end,
+    add_unsorted,
+    limit_of,
     place_of,
+    sort,
     sort_every,
-    sort_many,
     step_of,
 )
-from torchlight.geometry.narrowing_kernel import bring_ends, collect, empty_table, narrow, part_of, window_of
+from torchlight.geometry.meeting_kernel import AT_ONCE, cross_all
+from torchlight.geometry.narrowing_kernel import collect, narrow, part_of, window_of
+from torchlight.geometry.visibility_kernel import CLUSTER
 
-COARSE, FINE = 6, 3  # directions along the edge of a block
-
-
-@compiled
-@no_type_check
-def turn(fields, count, x, y):
-    """Writes n_e for one direction: what faces away from the light (or is seen edge-on) counts negative."""
-    for e in range(count):
-        one = fields[4, e] * x + fields[5, e] * y + fields[6, e]
-        two = fields[7, e] * x + fields[8, e] * y + fields[9, e]
-        side_one, side_two = fields[10, e], fields[11, e]
-        fields[12, e] = (side_one if one > 0.0 else -side_one) + (side_two if two > 0.0 else -side_two)
+COARSE, FINE = 6, 2  # directions along the edge of a block
 
 
-@compiled
-@no_type_check
-def find(fields, count, y, shift, lines, meeting, hits):
-    """Writes which contours meet a line of the grid in one direction; returns their number."""
-    for e in range(count):
-        first = min(max(np.ceil(fields[0, e] - y * fields[1, e] - shift), 0.0), lines)
-        last = min(max(np.ceil(fields[2, e] - y * fields[3, e] - shift), 0.0), lines)
-        meeting[e] = fields[12, e] if first != last else 0.0
-    found = 0
-    for e in range(count):  # without a branch: which edges meet a line is hard to predict
-        hits[found] = e
-        found += int(meeting[e] != 0.0)
-    return found
+def empty_tables(clusters):
+    """Returns room for tables of edges: what `visible_integrals` takes behind the lines; nothing in it is kept."""
+    room = clusters * CLUSTER // 512 * 512 + 552  # rows fall into different sets of the processor's cache
+    known, near = np.empty((7, room)), np.empty((room, 16))
+    wide, coarse, fine = (np.empty((12, room), np.float32) for _ in range(3))
+    places = np.empty((3, room), np.uint32)
+    places[0] = np.arange(room)
+    verdict, chosen = np.empty(room, np.float32), np.empty((2, room), np.uint32)
+    off, kept = np.empty(clusters), np.empty(clusters, np.uint32)
+    return known, near, wide, coarse, fine, places, verdict, chosen, off, kept
+
+
+def empty_lists(rows, columns, lines, room):
+    """Returns room for so many crossings of each line, and for what is hidden: what comes behind the tables."""
+    hits, first = np.empty(AT_ONCE, np.uint32), np.empty((2, AT_ONCE), np.int32)
+    packs, inclines = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE)
+    crossings, states = np.empty((rows * lines, room), np.int64), np.zeros(rows * lines, np.int64)
+    scratch, differences = np.empty((4, MANY), np.int32), np.empty((rows, columns + 1), np.int64)
+    return hits, first, packs, inclines, crossings, states, scratch, differences, np.empty((3, 3)), np.empty(4)
 
 
 @compiled
 @no_type_check
-def span(ends, numbers, meeting, hits, found, x, y, shift, lines, spans, lanes):
-    """Writes which lines an edge crosses (first, last + 1 and the step), and where: t0, x0 and the slope.
-
-    A line y = k + shift is crossed by an edge with one end below it and the other not, at x = x0 + (k - t0) slope.
-    """
-    for hit in range(found):
-        e, n = numbers[hits[hit]], meeting[hits[hit]]
-        z0, z1 = ends[e, 2], ends[e, 5]
-        t0, t1 = ends[e, 1] - y * z0 - shift, ends[e, 4] - y * z1 - shift
-        x0, x1 = ends[e, 0] - x * z0, ends[e, 3] - x * z1
-        spans[hit, 0] = np.int64(max(np.ceil(min(t0, t1)), 0.0))
-        spans[hit, 1] = np.int64(min(np.ceil(max(t0, t1)), lines))
-        spans[hit, 2] = np.int64(-n if t0 < t1 else n)
-        lanes[hit, 0], lanes[hit, 1], lanes[hit, 2] = t0, x0, (x1 - x0) / (t1 - t0)
-
-
-@compiled
-@no_type_check
-def cross(spans, lanes, found, columns, crossings, counts, before, reached):
-    """Notes the crossings of some edges, and the lowest and highest line `reached`; returns whether there was room.
-
-    Crossings right of the grid are dropped, those left of it only counted; both without a branch, which would be hard
-    to predict: a crossing that does not count is written over by the next.
-    """
-    room, most, lowest, highest = crossings.shape[1], 0, reached[0], reached[1]
-    for hit in range(found):
-        begin, end, step = spans[hit, 0], spans[hit, 1], spans[hit, 2]
-        t0, x0, slope = lanes[hit, 0], lanes[hit, 1], lanes[hit, 2]
-        lowest, highest = min(lowest, begin), max(highest, end)
-        for line in range(begin, end):
-            place, row = x0 + (line - t0) * slope, np.uint32(line)
-            count = counts[row]
-            crossings[row, np.uint32(count)] = packed(place, step)
-            count += int((place > 0.0) & (place < columns))
-            counts[row] = count
-            before[row] += step * int(place <= 0.0)
-            most = max(most, count)
-        if most == room:
-            return False
-    reached[0], reached[1] = lowest, highest
-    return True
-
-
-@compiled
-@no_type_check
-def cross_all(
-    ends, known, knowns, turning, turnings, x, y, shift, columns, meeting, hits, spans, lanes, crossings, counts,
-    before, reached,
-):  # fmt: skip
-    """Notes the crossings of all contours for one direction; returns whether there was room for them."""
-    lines = float(len(counts))
-    reached[0], reached[1] = len(counts), 0
-    found = find(known[0], knowns, y, shift, lines, meeting, hits)
-    span(ends, known[1], meeting, hits, found, x, y, shift, lines, spans, lanes)
-    if not cross(spans, lanes, found, columns, crossings, counts, before, reached):
-        return False
-    turn(turning[0], turnings, x, y)
-    found = find(turning[0], turnings, y, shift, lines, meeting, hits)
-    span(ends, turning[1], meeting, hits, found, x, y, shift, lines, spans, lanes)
-    return cross(spans, lanes, found, columns, crossings, counts, before, reached)
-
-
-@compiled
-@no_type_check
-def add_end(differences, row, place, weight):
-    """Adds one end of a hidden interval to the differences of a row: `weight` for all that lies right of it."""
-    column = np.uint32(place)
-    part = np.int64(np.rint(weight * (column + 1 - place)))
-    differences[row, column] += part
-    differences[row, column + np.uint32(1)] += weight - part
-
-
-@compiled
-@no_type_check
-def add_shadow(reached, weight, crossings, counts, before, packs, differences):
+def add_shadow(reach, y, weight, crossings, states, scratch, fineness, differences):
     """Adds the shadow of one direction to the differences of a square, and clears the lines.
 
     A hidden interval of a line begins where the number of sheets leaves 0 and ends where it returns.
     """
-    lines = len(counts) // len(differences)
-    for line in range(reached[0], reached[1]):
-        count, sheets, row = counts[line], before[line], line // lines
-        if count > INSERTED:
-            sort_many(line, count, crossings, packs)
-        else:
-            sort_every(1, line, count, crossings)
+    lines, drift = len(states) // len(differences), y * reach[2]
+    lowest = int(min(max(np.floor(reach[0] - max(drift, 0.0)) - 1.0, 0.0), float(len(states))))
+    highest = int(max(min(np.ceil(reach[1] - min(drift, 0.0)) + 1.0, float(len(states))), 0.0))
+    for line in range(lowest, highest):
+        state, row = states[line], line // lines
+        states[line] = 0
+        count, sheets = np.int64(np.uint32(state)), state >> 32
         if sheets != 0:
             differences[row, 0] += weight
+        if count > INSERTED:
+            if add_unsorted(crossings, line, count, sheets, row, weight, scratch, fineness, differences):
+                continue
+            sort(line, count, crossings)
+        else:
+            sort_every(1, line, count, crossings)
         for k in range(count):
             crossing, was = crossings[line, k], sheets
             sheets += step_of(crossing)
@@ -155,7 +84,6 @@ def add_shadow(reached, weight, crossings, counts, before, packs, differences):
                 add_end(differences, row, place_of(crossing), weight)
             elif was != 0 and sheets == 0:
                 add_end(differences, row, place_of(crossing), -weight)
-        counts[line], before[line] = 0, 0
 
 
 @compiled
@@ -172,18 +100,32 @@ def sum_rows(differences, total, scale, square, result):
 
 @compiled
 @no_type_check
+def total_of(weights, square):
+    """Returns the sum of a square's weights."""
+    total = np.int64(0)
+    for i in range(weights.shape[1]):
+        for j in range(weights.shape[2]):
+            total += weights[square, i, j]
+    return total
+
+
+@compiled
+@no_type_check
 def visible_integrals(
-    first, axes, spread, fields, ends, cones, rectangles, slopes, shifts, weights, scales, columns, lines, result
-):
+    axes, clusters, edges, reach, cones, rectangles, slopes, shifts, weights, scales, columns, lines,
+    known, near, wide, coarse, fine, places, verdict, chosen, off, kept,
+    hits, first, packs, inclines, crossings, states, scratch, differences, part, window, done, result,
+):  # fmt: skip
     """Writes, for each square and sample, the integral of the visible share over the square's directions.
 
+    Returns how many squares are done: fewer than all where a line has more crossings than there is room for.
+
     Args:
-        first: where each cluster of edges begins, and the number of edges.
-        axes: of the clusters.
-        spread: of the clusters.
-        fields: of the scene's edges.
-        ends: of the scene's edges.
-        cones: unit axis and half angle of each square, [squares, 4].
+        axes: of the clusters: x, y, z, and sine and cosine of their spread (2 and 0 if it may be any), [5, clusters].
+        clusters: tables of edges in float32, [clusters, 12, 16].
+        edges: a row of 16 numbers per edge.
+        reach: how far they and their normals reach (`geometry.crossings.GridContours`).
+        cones: unit axis of each square, cosine and sine of its half angle, [squares, 5].
         rectangles: its centre, half width and half height in the grid's frame, [squares, 3, 3].
         slopes: of its s x s directions, row by row from the upper left, [squares, s, s, 2].
         shifts: of the lines, per direction.
@@ -191,50 +133,72 @@ def visible_integrals(
         scales: the integral where nothing is hidden, [squares].
         columns: samples in x.
         lines: per row of samples.
+        done: the first square that is asked for; those before it are left alone.
         result: [squares, points].
+
+    What is between is from `empty_tables` and `empty_lists`.
     """
-    along, room = slopes.shape[1], fields.shape[1]
-    rows = result.shape[1] // columns
-    known, wide, coarse, fine = empty_table(room), empty_table(room), empty_table(room), empty_table(room)
-    near, verdict, chosen = np.empty(ends.shape), np.empty(room), np.empty((2, room), np.uint32)
-    crossings, counts, before = empty_lists(rows * lines)
-    hits, part, reached, window = np.empty(room, np.uint32), np.empty((3, 3)), np.zeros(2, np.int64), np.empty(3)
-    differences, packs = np.empty((rows, columns + 1), np.int64), np.empty((2, COUNTED), np.int64)
-    spans, lanes = np.empty((room, 3), np.int64), np.empty((room, 3))
-    window[2], everything = rows * lines, (fields, np.arange(room).astype(np.uint32))
-    for square in range(len(slopes)):
+    axes, clusters, edges, reach, cones = (
+        borrowed(axes),
+        borrowed(clusters),
+        borrowed(edges),
+        borrowed(reach),
+        borrowed(cones),
+    )
+    rectangles, slopes, shifts, weights = borrowed(rectangles), borrowed(slopes), borrowed(shifts), borrowed(weights)
+    known, near, wide, coarse, fine = borrowed(known), borrowed(near), borrowed(wide), borrowed(coarse), borrowed(fine)
+    places, verdict, chosen, off, kept = (
+        borrowed(places),
+        borrowed(verdict),
+        borrowed(chosen),
+        borrowed(off),
+        borrowed(kept),
+    )
+    hits, first, packs, inclines = borrowed(hits), borrowed(first), borrowed(packs), borrowed(inclines)
+    crossings, states, scratch, differences = (
+        borrowed(crossings),
+        borrowed(states),
+        borrowed(scratch),
+        borrowed(differences),
+    )
+    result, part, window = borrowed(result), borrowed(part), borrowed(window)
+    along, limit, fineness = slopes.shape[1], limit_of(columns), (2.0**31 - 1.0) / columns
+    window[2] = len(states)
+    for square in range(done, len(slopes)):
         differences[:] = 0
-        rectangle = rectangles[square]
-        window_of(slopes, square, 0, along, 0, along, window)
+        window_of(slopes, square, 0, along, 0, along, reach, window)
         sure, wides = collect(
-            first, axes, spread, everything, cones[square], rectangle, window, verdict, chosen, known, wide
-        )
-        bring_ends(ends, known, sure, near, 0)
-        bring_ends(ends, wide, wides, near, sure)
+            axes, clusters, cones, square, rectangles[square], window, edges, verdict, chosen, off, kept, known, wide,
+            near,
+        )  # fmt: skip
         for top in range(0, along, COARSE):
             bottom = min(top + COARSE, along)
             for left in range(0, along, COARSE):
                 right = min(left + COARSE, along)
-                part_of(rectangle, along, top, bottom, left, right, part)
-                window_of(slopes, square, top, bottom, left, right, window)
-                surer, coarses = narrow(wide, 0, wides, part, window, verdict, chosen, known, sure, coarse, 0)
+                part_of(rectangles, square, along, top, bottom, left, right, part)
+                window_of(slopes, square, top, bottom, left, right, reach, window)
+                surer, coarses = narrow(
+                    wide, places, 0, wides, part, window, near, verdict, chosen, known, sure, coarse
+                )
                 for upper in range(top, bottom, FINE):
                     lower = min(upper + FINE, bottom)
                     for west in range(left, right, FINE):
                         east = min(west + FINE, right)
-                        part_of(rectangle, along, upper, lower, west, east, part)
-                        window_of(slopes, square, upper, lower, west, east, window)
-                        surest, fines = narrow(coarse, 0, coarses, part, window, verdict, chosen, known, surer, fine, 0)
+                        part_of(rectangles, square, along, upper, lower, west, east, part)
+                        window_of(slopes, square, upper, lower, west, east, reach, window)
+                        surest, fines = narrow(
+                            coarse, places, 1, coarses, part, window, near, verdict, chosen, known, surer, fine
+                        )
                         for i in range(upper, lower):
                             for j in range(west, east):
                                 x, y, shift = slopes[square, i, j, 0], slopes[square, i, j, 1], shifts[square, i, j]
-                                while not cross_all(
-                                    near, known, surest, fine, fines, x, y, shift, columns, verdict, hits, spans, lanes,
-                                    crossings, counts, before, reached,
+                                if not cross_all(
+                                    known, surest, fine, places, fines, near, reach, x, y, shift, limit,
+                                    hits, first, packs, inclines, crossings, states,
                                 ):  # fmt: skip
-                                    crossings = longer(crossings, counts)
-                                    counts[:], before[:] = 0, 0
+                                    return square
                                 add_shadow(
-                                    reached, weights[square, i, j], crossings, counts, before, packs, differences
+                                    reach, y, weights[square, i, j], crossings, states, scratch, fineness, differences
                                 )
-        sum_rows(differences, weights[square].sum() * lines, scales[square], square, result)
+        sum_rows(differences, total_of(weights, square) * lines, scales[square], square, result)
+    return len(slopes)

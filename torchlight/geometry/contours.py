@@ -13,6 +13,7 @@ asked of the soup: it may be open, non-manifold, turned inside out or several ob
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,7 +153,7 @@ def edge_pairs(
     low, high = np.minimum(start, end), np.maximum(start, end)
     face = np.repeat(np.arange(len(faces)), 3)
     key = low * len(points) + high
-    order = np.lexsort((angle_about(points[high] - points[low], normals[face]), key))
+    order = in_pairs(key, lambda few: angle_about(points[high[few]] - points[low[few]], normals[face[few]]))
     low, high, key, face = low[order], high[order], key[order], face[order]
     side = np.where(start[order] == low, 1.0, -1.0)
     place = np.arange(len(key))
@@ -164,6 +165,18 @@ def edge_pairs(
     pairs = np.stack([face[first], np.where(paired, face[second], face[first])], axis=1)
     sides = np.stack([side[first], np.where(paired, side[second], 0.0)], axis=1)
     return np.stack([low[first], high[first]], axis=1), pairs, sides
+
+
+def in_pairs(
+    key: Int[np.ndarray, " sides"], angle: Callable[[Int[np.ndarray, " few"]], Float[np.ndarray, " few"]]
+) -> Int[np.ndarray, " sides"]:
+    """Returns the order of the keys, and of those that appear more than twice the order of their angles, in turn."""
+    order = np.argsort(key, kind="stable")
+    ordered = key[order]
+    thrice = ordered[np.flatnonzero(ordered[2:] == ordered[:-2])]
+    few = np.flatnonzero(np.isin(ordered, thrice)) if len(thrice) else thrice
+    order[few] = order[few][np.lexsort((angle(order[few]), ordered[few]))]
+    return order
 
 
 def angle_about(edges: Points, normals: Points) -> Float[np.ndarray, " points"]:
@@ -187,7 +200,9 @@ def clustered(
     length = np.linalg.norm(axis, axis=1, keepdims=True)
     axis = np.divide(axis, length, out=np.zeros_like(axis), where=length > 0)
     bend = np.arccos(np.clip((towards[:, 0] * towards[:, 1]).sum(axis=1), -1.0, 1.0))
-    order = np.lexsort((morton(axis), np.ceil(np.log2(np.maximum(np.degrees(bend), 1.0))), sides[:, 1] == 0))
+    octave = np.ceil(np.log2(np.maximum(np.degrees(bend), 1.0))).astype(np.int64)  # 0 to 8
+    place = ((sides[:, 1] == 0) * 16 + octave) * 4**MORTON_BITS + morton(axis)
+    order = np.argsort(place, kind="stable")
     axis, towards = axis[order], towards[order]
     first = np.arange(0, len(order), CLUSTER)
     middle = np.add.reduceat(axis, first) if len(first) else np.zeros((0, 3))

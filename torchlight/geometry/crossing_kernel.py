@@ -1,7 +1,9 @@
-"""Crossings of lines, compiled: kept for each line of a grid, and sorted from left to right.
+"""Crossings of lines, compiled: kept for each line of a grid, and turned into the ends of hidden intervals.
 
 A crossing is one integer: its place, a positive number whose bits are in the order of the numbers, with its step in
 the last three of them, 1e-15 of the place. So crossings are compared, moved and counted as integers.
+
+The state of a line is one integer too: how many crossings it has, and 2^32 times the number of sheets left of the grid.
 """
 
 from __future__ import annotations
@@ -12,17 +14,10 @@ import numpy as np
 
 from torchlight.compiled import compiled
 
-ROOM = 32  # for the crossings of one line at first; doubled when it is not enough
-INSERTED, COUNTED = 6, 64  # crossings of a line that are sorted by insertion; by counting
-TOGETHER = 16  # crossings that are counted together
-LAST = 2**63 - 1  # behind all of them
-
-
-@compiled
-@no_type_check
-def empty_lists(lines):
-    """Returns, for each line, room for its crossings, their number, and the sheets left of the grid."""
-    return np.empty((lines, ROOM), np.int64), np.zeros(lines, np.int32), np.zeros(lines, np.int32)
+INSERTED, MANY = 6, 64  # crossings of a line that are sorted by insertion; that are compared with each other
+TOGETHER = 8  # crossings that are compared together
+RANK = 2**16  # steps add up in the lower half of 32 bits, ranks in the upper half
+LAST = 2**31 - 1  # behind all places
 
 
 @compiled
@@ -60,11 +55,15 @@ def step_of(crossing):
 
 @compiled
 @no_type_check
-def sort_many(line, count, crossings, packs):
-    """Sorts the crossings of a line: some by counting, very many as Shell (1959) did; few are for `sort_every(1)`."""
-    if count <= COUNTED:
-        sort_by_counting(line, count, crossings, packs)
-        return
+def limit_of(columns):
+    """Returns the crossing that is behind all places on the grid, as a number without a sign."""
+    return np.uint64(packed(np.float64(columns), np.int64(4)))
+
+
+@compiled
+@no_type_check
+def sort(line, count, crossings):
+    """Sorts the crossings of a line as Shell (1959) did."""
     gap = 1
     while 9 * gap < count:
         gap = 3 * gap + 1
@@ -87,21 +86,77 @@ def sort_every(gap, line, count, crossings):
 
 @compiled
 @no_type_check
-def sort_by_counting(line, count, crossings, packs):
-    """Sorts some crossings: each has as many before it as are less.
+def add_end(differences, row, place, weight):
+    """Adds one end of a hidden interval to the differences of a row: `weight` for all that lies right of it."""
+    column = np.uint32(place)
+    part = np.int64(np.rint(weight * (column + 1 - place)))
+    differences[row, column] += part
+    differences[row, column + np.uint32(1)] += weight - part
 
-    Counting them needs no branch that would be hard to predict. Equal ones are alike: any of them may come first.
+
+@compiled
+@no_type_check
+def add_unsorted(crossings, line, count, sheets, row, weight, scratch, fineness, differences):
+    """Adds the ends of a line's hidden intervals to the differences of its row, without sorting its crossings.
+
+    The sheets left of a crossing are those left of the grid and the steps of all crossings before it, whose number is
+    its rank. Both are one sum over all crossings, as vector code. Places are compared as integers of 31 bits; where two
+    are equal, the ranks do not add up to those of a sequence, nothing is added and False returned.
+
+    Args:
+        scratch: for the places, the steps with 2^16 each, the sums and the ends, [4, 64].
+        fineness: 2^31 - 1 over the number of columns.
     """
-    full = (count + TOGETHER - 1) // TOGETHER * TOGETHER
-    for i in range(count):
-        packs[0, i] = crossings[line, i]
-        crossings[line, i] = LAST
-    for i in range(count, full):
-        packs[0, i] = LAST
-    for i in range(count):
-        crossing, rank = packs[0, i], 0
-        for j in range(full):
-            rank += int(packs[0, j] < crossing)
-        while crossings[line, rank] != LAST:
-            rank += 1
-        crossings[line, rank] = crossing
+    if count > MANY:
+        return False
+    full = np.uint64((count + TOGETHER - 1) // TOGETHER * TOGETHER)
+    for i in range(np.uint64(count)):
+        crossing = crossings[line, i]
+        scratch[0, i] = np.int32(place_of(crossing) * fineness)
+        scratch[1, i] = np.int32(RANK + step_of(crossing))
+    for i in range(np.uint64(count), full):
+        scratch[0, i], scratch[1, i] = LAST, 0
+    for i in range(full):
+        scratch[2, i] = sheets
+    for j in range(np.uint64(0), full, np.uint64(TOGETHER)):
+        add_steps(scratch, j, full)
+    found, ranks = np.uint32(0), 0
+    for i in range(np.uint64(count)):
+        total = scratch[2, i]
+        ranks += np.int64(total + RANK // 2) >> 16
+        scratch[3, found] = i
+        hidden, then = (total & (RANK - 1)) != 0, ((total + scratch[1, i]) & (RANK - 1)) != 0
+        found = np.uint32(found + np.uint32(hidden != then))
+    if ranks != count * (count - 1) // 2:
+        return False
+    for k in range(found):
+        i = np.uint32(scratch[3, k])
+        begins = (scratch[2, i] & (RANK - 1)) == 0
+        add_end(differences, row, place_of(crossings[line, i]), weight if begins else -weight)
+    return True
+
+
+@compiled
+@no_type_check
+def add_steps(scratch, j, full):
+    """Adds the steps of eight crossings to the sums of all that are behind them.
+
+    The eight are scalars, so that the loop over all crossings becomes vector code.
+    """
+    one, two, three, four = np.uint64(j + 1), np.uint64(j + 2), np.uint64(j + 3), np.uint64(j + 4)
+    five, six, seven, none = np.uint64(j + 5), np.uint64(j + 6), np.uint64(j + 7), np.int32(0)
+    k0, k1, k2, k3 = scratch[0, j], scratch[0, one], scratch[0, two], scratch[0, three]
+    k4, k5, k6, k7 = scratch[0, four], scratch[0, five], scratch[0, six], scratch[0, seven]
+    t0, t1, t2, t3 = scratch[1, j], scratch[1, one], scratch[1, two], scratch[1, three]
+    t4, t5, t6, t7 = scratch[1, four], scratch[1, five], scratch[1, six], scratch[1, seven]
+    for i in range(full):
+        k, s = scratch[0, i], scratch[2, i]
+        s = np.int32(s + (t0 if k0 < k else none))
+        s = np.int32(s + (t1 if k1 < k else none))
+        s = np.int32(s + (t2 if k2 < k else none))
+        s = np.int32(s + (t3 if k3 < k else none))
+        s = np.int32(s + (t4 if k4 < k else none))
+        s = np.int32(s + (t5 if k5 < k else none))
+        s = np.int32(s + (t6 if k6 < k else none))
+        s = np.int32(s + (t7 if k7 < k else none))
+        scratch[2, i] = s

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from types import ModuleType
 
@@ -23,6 +24,8 @@ from torchlight.geometry.contours import CLUSTER, Contours
 from torchlight.geometry.receiver import Receiver
 
 UNIT = 2.0**56  # integer weights of a square add up to this
+ROOM = 32  # for the crossings of one line at first; doubled when it is not enough
+FIELDS = [1, 2, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13]  # of an edge: the rows of a cluster's table
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +99,25 @@ class GridContours:
     Attributes:
         contours: the edges, in the scene's unit.
         grid: the receiver's coordinates.
-        ends: a row per edge: x, y, z of both ends and two zeros.
-        fields: a column per edge: y and z of both ends, two normals (an open edge has its one twice), two sides.
-        clusters: the fields of each cluster of edges and x of both ends; 0 beyond the last edge.
+        edges: a row per edge: x, y, z of both ends (0 to 5), two normals (6 to 11; an open edge has its one twice), the
+            sides of the two faces (12, 13) and two zeros; zeros alone beyond the last edge.
+        narrow: a table per cluster, in float32: a column per edge, and for rows y and z of both ends (0 to 3), the two
+            normals (4 to 9) and the sides (10, 11).
         axes: of the clusters: x, y, z, and the sine and cosine of their spread; 2 and 0 where it may be any.
+        reach: the least and the largest y, the largest z, the largest |y|, and the largest |x| and |y| of a normal.
     """
 
     contours: Contours
     grid: Grid
-    ends: Float[np.ndarray, "room 8"]
-    fields: Float[np.ndarray, "12 room"]
-    clusters: Float[np.ndarray, "clusters 14 cluster"]
+    edges: Float[np.ndarray, "room 16"]
+    narrow: Float[np.ndarray, "clusters 12 cluster"]
     axes: Float[np.ndarray, "5 clusters"]
+    reach: Float[np.ndarray, " 6"]
+
+    @cached_property
+    def clusters(self) -> Float[np.ndarray, "clusters 14 cluster"]:
+        """The tables in float64, and x of both ends (12, 13)."""
+        return by_cluster(self.edges, [*FIELDS, 0, 3])
 
 
 def on_grid(contours: Contours, receiver: Receiver, lines: int) -> GridContours:
@@ -119,17 +129,29 @@ def on_grid(contours: Contours, receiver: Receiver, lines: int) -> GridContours:
         lines: per row of samples; along them shares are exact, over them they are a mean.
     """
     grid, count = receiver_grid(receiver, lines), len(contours.ends)
+    edges = np.zeros((len(contours.axes) * CLUSTER, 16))
+    edges[:count, :6] = grid.places(contours.ends).reshape(count, 6)
     normals = grid.normals(contours.normals)
     normals[:, 1] = np.where(contours.sides[:, 1:] == 0, normals[:, 0], normals[:, 1])
-    room = count // 512 * 512 + 552  # rows fall into different sets of the processor's cache
-    ends, fields = np.zeros((room, 8)), np.zeros((12, room))
-    ends[:count, :6] = grid.places(contours.ends).reshape(count, 6)
-    fields[:4] = ends.T[[1, 2, 4, 5]]
-    fields[4:10, :count] = normals.reshape(count, 6).T
-    fields[10:, :count] = contours.sides.T
-    full = len(contours.axes) * CLUSTER
-    clusters = np.concatenate([fields[:, :full], ends[:full].T[[0, 3]]]).reshape(14, -1, CLUSTER).transpose(1, 0, 2)
-    return GridContours(contours, grid, ends, fields, np.ascontiguousarray(clusters), cluster_axes(contours))
+    edges[:count, 6:12], edges[:count, 12:14] = normals.reshape(count, 6), contours.sides
+    narrow = by_cluster(edges, FIELDS).astype(np.float32)
+    return GridContours(contours, grid, edges, narrow, cluster_axes(contours), reach_of(edges[:count]))
+
+
+def by_cluster(edges: Float[np.ndarray, "room 16"], fields: list[int]) -> Float[np.ndarray, "clusters fields cluster"]:
+    """Returns some columns of all edges as a table per cluster."""
+    return np.ascontiguousarray(edges.reshape(-1, CLUSTER, 16)[:, :, fields].transpose(0, 2, 1))
+
+
+def reach_of(edges: Float[np.ndarray, "edges 16"]) -> Float[np.ndarray, " 6"]:
+    """Returns the least and the largest y, the largest z, the largest |y|, and the largest |x| and |y| of a normal."""
+    if len(edges) == 0:
+        return np.zeros(6)
+    low, high = edges.min(axis=0), edges.max(axis=0)
+    largest = np.maximum(-low, high)
+    least, most = low[[1, 4]].min(), high[[1, 4]].max()
+    across, along = largest[[6, 9]].max(), largest[[7, 10]].max()
+    return np.array([least, most, high[[2, 5]].max(), max(-least, most), across, along])
 
 
 def cluster_axes(contours: Contours) -> Float[np.ndarray, "5 clusters"]:
@@ -151,22 +173,15 @@ def visible_integrals(shape: GridContours, rectangles: Rectangles) -> Float[Tens
         faces, weights = grid.places(contours.faces), rectangles.weights.numpy()
         return torch.from_numpy(contour_twin.visible_integrals(faces, slopes, shifts, weights, size))
     result = np.empty((len(scales), grid.rows * grid.columns))
-    kernel.visible_integrals(
-        contours.first,
-        contours.axes,
-        contours.spread,
-        shape.fields,
-        shape.ends,
-        cones(rectangles).numpy(),
-        grid.directions(torch.stack([rectangles.center, rectangles.right, rectangles.up], dim=1).numpy()),
-        slopes,
-        shifts,
-        (rectangles.weights / scales[:, None, None] * (UNIT / grid.lines)).round().long().numpy(),
-        scales.numpy(),
-        grid.columns,
-        grid.lines,
-        result,
-    )
+    lit = (rectangles.weights / scales[:, None, None] * (UNIT / grid.lines)).round().long().numpy()
+    frames = grid.directions(torch.stack([rectangles.center, rectangles.right, rectangles.up], dim=1).numpy())
+    scene = (shape.axes, shape.narrow, shape.edges, shape.reach)
+    squares = (cones(rectangles).numpy(), frames, slopes, shifts, lit, scales.numpy())
+    tables, room, done = kernel.empty_tables(len(shape.axes.T)), ROOM, 0
+    while done < len(result):
+        lists = kernel.empty_lists(grid.rows, grid.columns, grid.lines, room)
+        done = kernel.visible_integrals(*scene, *squares, grid.columns, grid.lines, *tables, *lists, done, result)
+        room *= 2  # it stopped where a line had more crossings
     return torch.from_numpy(result)
 
 
@@ -180,11 +195,11 @@ def compiled_kernel(name: str) -> ModuleType | None:
         return None
 
 
-def cones(rectangles: Rectangles) -> Float[Tensor, "squares 4"]:
-    """Returns the unit axis and the half angle, in radians, of a cone about each rectangle."""
+def cones(rectangles: Rectangles) -> Float[Tensor, "squares 5"]:
+    """Returns the unit axis of a cone about each rectangle, and the cosine and the sine of its half angle."""
     axis = torch.nn.functional.normalize(rectangles.center, dim=-1)
     signs = [(a, b) for a in (-1, 1) for b in (-1, 1)]
     corners = torch.stack([rectangles.center + a * rectangles.right + b * rectangles.up for a, b in signs], dim=1)
     sine = torch.linalg.vector_norm(torch.linalg.cross(axis[:, None].expand_as(corners), corners, dim=-1), dim=-1)
     angle = torch.atan2(sine, (corners * axis[:, None]).sum(dim=-1)).amax(dim=1)
-    return torch.cat([axis, angle[:, None]], dim=1)
+    return torch.cat([axis, angle.cos()[:, None], angle.sin()[:, None]], dim=1)

@@ -1,15 +1,16 @@
 """Which edges may bound a shadow for a rectangle of directions, compiled: narrowed down step by step.
 
-A table of edges is two arrays. One has a column per edge, so that the loops over them become vector code; its rows are
-y and z of both ends (0 to 3), two normals (4 to 9), the sides of the two faces (10, 11) and n_e (12). The other holds
-the edges' places among those whose ends stand next to each other, for what is asked of single edges.
+Edges come in clusters (`geometry.crossings`), each a small table in float32: a column per edge, so that loops over them
+become vector code; its rows are y and z of both ends (0 to 3), two normals (4 to 9), and the sides of the two faces
+(10, 11). The clusters are narrowed to the edges that may be contours for a square of directions, these to a coarse
+block of it, these to a fine block. What may turn within a block is a table with the same rows, and a number for each
+edge: its row among those of the square whose numbers in float64 stand near each other.
 
-The scene's edges are narrowed to those that may be contours for a square of directions, these to a coarse block of it,
-these to a fine block. What is known to be a contour for a whole block, with its n_e, is kept apart from what may turn;
-what meets no line of the grid is left out.
+What is known to be a contour for a whole block, with its n_e, is kept apart, in float64: y and z of both ends (0 to 3),
+x of both ends (4, 5) and n_e (6). What meets no line of the grid is left out.
 
-Products and sums are not contracted or reordered (no fastmath): the facing of a face must come out equal to the bit
-wherever it is needed, or a contour stays open and a whole line changes sides.
+Here float32 is enough: what it leaves in doubt may turn. Products and sums are not contracted or reordered (no
+fastmath).
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from typing import no_type_check
 import numpy as np
 
 from torchlight.compiled import compiled
+from torchlight.geometry.visibility_kernel import CLUSTER, clusters_within
 
-ROUNDING = 1e-11  # of n . d for a unit normal and a direction to a face of the cube: a sign beyond it is certain
-SLACK = 1e-9  # of the sine of an angle between a cluster and a direction; of a line
-FIELDS = 13  # rows of a table
-TURNING = 9.0  # in the place of an n_e that changes within a block
+FIELDS, VALUES = 12, 16  # rows of a table; numbers of an edge
+ROUNDING = 4e-6  # of n . d for a unit normal and a direction to a face of the cube: a sign beyond it is certain
+SLACK = 1e-6  # of the largest numbers that a line is made of
+NONE, ONE, TURNING = np.float32(0), np.float32(1), np.float32(9)  # the last in the place of an n_e that changes
 
 
 @compiled
@@ -34,143 +36,132 @@ def facing_over(x, y, z, center, right, up):
     The rectangle is its centre, half its width and half its height.
     """
     middle = x * center[0] + y * center[1] + z * center[2]
-    reach = abs(x * right[0] + y * right[1] + z * right[2]) + abs(x * up[0] + y * up[1] + z * up[2]) + ROUNDING
-    return (1.0 if middle > reach else 0.0) - (1.0 if middle < -reach else 0.0)
+    reach = (
+        abs(x * right[0] + y * right[1] + z * right[2]) + abs(x * up[0] + y * up[1] + z * up[2]) + np.float32(ROUNDING)
+    )
+    return (ONE if middle > reach else NONE) - (ONE if middle < -reach else NONE)
 
 
 @compiled
 @no_type_check
-def judge(fields, rectangle, window, begin, end, verdict):
+def judge(fields, count, rectangle, window, verdict):
     """Writes n_e where both faces keep their facing, `TURNING` elsewhere, and 0 for what meets no line of the grid.
 
-    The window is the least and the largest y of the directions' slopes, and the number of lines, which lie up to 1
-    above whole numbers. Rounding keeps the order of numbers: what holds at both ends of a window holds within.
+    The window is the least and the largest y of the directions' slopes, the number of lines, which lie up to 1 above
+    whole numbers, and how far rounding may move an edge.
     """
-    low, high, lines = window[0], window[1], window[2] + SLACK
-    center = rectangle[0, 0], rectangle[0, 1], rectangle[0, 2]
-    right = rectangle[1, 0], rectangle[1, 1], rectangle[1, 2]
-    up = rectangle[2, 0], rectangle[2, 1], rectangle[2, 2]
-    for e in range(begin, end):
+    low, high = np.float32(window[0]), np.float32(window[1])
+    least, most = np.float32(-window[3]), np.float32(window[2] + window[3])
+    center = np.float32(rectangle[0, 0]), np.float32(rectangle[0, 1]), np.float32(rectangle[0, 2])
+    right = np.float32(rectangle[1, 0]), np.float32(rectangle[1, 1]), np.float32(rectangle[1, 2])
+    up = np.float32(rectangle[2, 0]), np.float32(rectangle[2, 1]), np.float32(rectangle[2, 2])
+    for e in range(np.uint64(count)):
         one = facing_over(fields[4, e], fields[5, e], fields[6, e], center, right, up)
         two = facing_over(fields[7, e], fields[8, e], fields[9, e], center, right, up)
-        n = TURNING if one * two == 0.0 else fields[10, e] * one + fields[11, e] * two
+        n = TURNING if one * two == NONE else fields[10, e] * one + fields[11, e] * two
         top = max(fields[0, e] - low * fields[1, e], fields[2, e] - low * fields[3, e])
         bottom = min(fields[0, e] - high * fields[1, e], fields[2, e] - high * fields[3, e])
-        verdict[e] = 0.0 if (top <= 0.0) | (bottom > lines) else n
+        verdict[e] = NONE if (top <= least) | (bottom > most) else n
 
 
 @compiled
 @no_type_check
-def sort_out(verdict, begin, end, sure, unsure):
+def sort_out(verdict, count, chosen):
     """Writes which edges are known contours and which may turn, without a branch: it would be hard to predict."""
-    knowns, turnings = 0, 0
-    for e in range(begin, end):
-        sure[knowns], unsure[turnings] = e, e
+    knowns, turnings = np.uint32(0), np.uint32(0)
+    for e in range(np.uint64(count)):
+        chosen[0, knowns], chosen[1, turnings] = e, e
         turns = verdict[e] == TURNING
-        turnings += int(turns)
-        knowns += int((verdict[e] != 0.0) & (not turns))
+        turnings = np.uint32(turnings + np.uint32(turns))
+        knowns = np.uint32(knowns + np.uint32((verdict[e] != NONE) & (not turns)))
     return knowns, turnings
 
 
 @compiled
 @no_type_check
-def copy(source, chosen, which, count, rows, target, begin):
-    """Copies the first rows of chosen edges behind those already in a table, and their places among all edges."""
-    fields, numbers = source
-    target_fields, target_numbers = target
-    for k in range(rows):
-        for i in range(count):
-            target_fields[k, begin + i] = fields[k, chosen[which, i]]
-    for i in range(count):
-        target_numbers[begin + i] = numbers[chosen[which, i]]
-
-
-@compiled
-@no_type_check
-def narrow(source, begin, end, rectangle, window, verdict, chosen, known, knowns, turning, turnings):
-    """Copies the edges of a table that may be contours within a rectangle, behind those already there.
+def narrow(source, places, level, count, rectangle, window, near, verdict, chosen, known, knowns, turning):
+    """Writes the edges of a table that may turn within a rectangle into the next, and adds the known contours.
 
     Returns how many are known to be contours for all its directions, and how many may turn.
-    """
-    judge(source[0], rectangle, window, begin, end, verdict)
-    more, open_ones = sort_out(verdict, begin, end, chosen[0], chosen[1])
-    copy(source, chosen, 0, more, 4, known, knowns)
-    copy(source, chosen, 1, open_ones, 12, turning, turnings)
-    for i in range(more):
-        known[0][12, knowns + i] = verdict[chosen[0, i]]
-    return knowns + more, turnings + open_ones
-
-
-@compiled
-@no_type_check
-def bring_ends(ends, table, count, near, begin):
-    """Copies the ends of a table's edges next to each other, behind those already there, and numbers them anew."""
-    numbers = table[1]
-    for i in range(count):
-        e = numbers[i]
-        for k in range(8):
-            near[begin + i, k] = ends[e, k]
-        numbers[i] = begin + i
-
-
-@compiled
-@no_type_check
-def empty_table(room):
-    """Returns a table with room for so many edges."""
-    return np.empty((FIELDS, room)), np.empty(room, np.uint32)
-
-
-@compiled
-@no_type_check
-def may_turn(axes, cluster, angle, direction):
-    """Returns whether a cluster's normals, up to an angle from its axis, may be at right angles to a direction."""
-    cosine = axes[cluster, 0] * direction[0] + axes[cluster, 1] * direction[1] + axes[cluster, 2] * direction[2]
-    return angle >= 0.5 * np.pi or abs(cosine) <= np.sin(angle) + SLACK
-
-
-@compiled
-@no_type_check
-def collect(first, axes, spread, edges, cone, rectangle, window, verdict, chosen, known, turning):
-    """Narrows the scene's edges to a rectangle of directions; clusters that hold no contour there are skipped.
 
     Args:
-        cone: unit axis of the rectangle in the scene's frame, and its half angle.
+        places: numbers of the edges of the tables of each level, [3, room].
+        level: of the source.
+    """
+    judge(source, count, rectangle, window, verdict)
+    more, turnings = sort_out(verdict, count, chosen)
+    for i in range(more):
+        add_known(near, places[level, chosen[0, i]], verdict[chosen[0, i]], known, np.uint64(knowns) + i)
+    for k in range(FIELDS):
+        for i in range(turnings):
+            turning[k, i] = source[k, chosen[1, i]]
+    for i in range(turnings):
+        places[level + 1, i] = places[level, chosen[1, i]]
+    return knowns + more, turnings
+
+
+@compiled
+@no_type_check
+def add_known(edges, e, n, known, k):
+    """Writes a known contour into its table."""
+    known[0, k], known[1, k], known[2, k], known[3, k] = edges[e, 1], edges[e, 2], edges[e, 4], edges[e, 5]
+    known[4, k], known[5, k], known[6, k] = edges[e, 0], edges[e, 3], n
+
+
+@compiled
+@no_type_check
+def collect(axes, clusters, cones, square, rectangle, window, edges, verdict, chosen, off, kept, known, turning, near):
+    """Narrows the scene's edges to a square of directions; clusters that hold no contour there are skipped.
+
+    Args:
+        cones: unit axis of each square in the scene's frame, and cosine and sine of its half angle.
         rectangle: centre, half width and half height in the grid's frame, [3, 3].
         window: of its slopes, as `judge` takes it.
+        near: gets the numbers in float64 of what may turn.
     """
-    knowns, turnings, begin = 0, 0, -1
-    for cluster in range(len(axes) + 1):
-        wanted = cluster < len(axes) and may_turn(axes, cluster, spread[cluster] + cone[3], cone)
-        if wanted and begin < 0:
-            begin = first[cluster]
-        elif begin >= 0 and not wanted:
-            knowns, turnings = narrow(
-                edges, begin, first[cluster], rectangle, window, verdict, chosen, known, knowns, turning, turnings
-            )
-            begin = -1
+    cone = cones[square, 0], cones[square, 1], cones[square, 2], cones[square, 3], cones[square, 4]
+    knowns, turnings = np.uint64(0), np.uint64(0)
+    for place in range(clusters_within(axes, cone, off, kept)):
+        cluster = clusters[kept[place]]
+        base = np.uint64(CLUSTER) * kept[place]
+        judge(cluster, CLUSTER, rectangle, window, verdict)
+        more, some = sort_out(verdict, CLUSTER, chosen)
+        for i in range(more):
+            add_known(edges, base + chosen[0, i], verdict[chosen[0, i]], known, knowns + i)
+        for i in range(some):
+            e, to = chosen[1, i], turnings + i
+            for k in range(VALUES):
+                near[to, k] = edges[base + e, k]
+            for k in range(FIELDS):
+                turning[k, to] = cluster[k, e]
+        knowns, turnings = knowns + more, turnings + some
     return knowns, turnings
 
 
 @compiled
 @no_type_check
-def part_of(rectangle, along, top, bottom, left, right, part):
+def part_of(rectangles, square, along, top, bottom, left, right, part):
     """Writes the rectangle spanned by the directions of rows top to bottom and columns left to right, ends excluded."""
     for k in range(3):
         part[0, k] = (
-            rectangle[0, k]
-            + rectangle[1, k] * ((left + right) / along - 1.0)
-            + rectangle[2, k] * (1.0 - (top + bottom) / along)
+            rectangles[square, 0, k]
+            + rectangles[square, 1, k] * ((left + right) / along - 1.0)
+            + rectangles[square, 2, k] * (1.0 - (top + bottom) / along)
         )
-        part[1, k] = rectangle[1, k] * ((right - left - 1) / along)
-        part[2, k] = rectangle[2, k] * ((bottom - top - 1) / along)
+        part[1, k] = rectangles[square, 1, k] * ((right - left - 1) / along)
+        part[2, k] = rectangles[square, 2, k] * ((bottom - top - 1) / along)
 
 
 @compiled
 @no_type_check
-def window_of(slopes, square, top, bottom, left, right, window):
-    """Writes the least and the largest y of the slopes of rows top to bottom and columns left to right of a square."""
+def window_of(slopes, square, top, bottom, left, right, reach, window):
+    """Writes the least and the largest y of some slopes of a square, and how far rounding may move an edge, in lines.
+
+    The slopes are those of rows top to bottom and columns left to right, ends excluded.
+    """
     window[0], window[1] = np.inf, -np.inf
     for i in range(top, bottom):
         for j in range(left, right):
             window[0] = min(window[0], slopes[square, i, j, 1])
             window[1] = max(window[1], slopes[square, i, j, 1])
+    window[3] = SLACK * (1.0 + reach[3] + reach[2] * max(abs(window[0]), abs(window[1])))

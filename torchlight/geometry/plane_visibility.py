@@ -58,13 +58,13 @@ def mark(
 ) -> None:
     """Marks what is hidden from directions taken in an order that keeps neighbours together, a bundle at a time."""
     grid, ordered = shape.grid, directions[order]
-    slopes, columns = grid.slopes(ordered), np.ascontiguousarray(ordered.T)
+    slopes, columns, clusters = grid.slopes(ordered), np.ascontiguousarray(ordered.T), shape.clusters
 
     def fill(begin: int) -> None:
         part = slice(begin, begin + BUNDLE)
         bundle = np.ascontiguousarray(columns[:, part])
-        kernel.hidden_samples(shape.axes, shape.clusters, bundle, slopes[part], order[part], grid.columns, result)
+        kernel.hidden_samples(shape.axes, clusters, bundle, slopes[part], order[part], grid.columns, result)
 
-    work = len(order) * (grid.rows * grid.columns + len(shape.ends))
+    work = len(order) * (grid.rows * grid.columns + len(shape.edges))
     for _ in ordered_map(fill, range(0, len(order), BUNDLE), 1 if work < QUICK else thread_count()):
         pass
