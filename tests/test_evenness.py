@@ -10,12 +10,13 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from torchlight.errors import SceneError
-from torchlight.evenness import evened, finer, texel_means, with_means
+from torchlight.evenness import evened, finer, texel_means, told, with_means
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
-from torchlight.light.environment import EnvironmentMap
+from torchlight.light.environment import EnvironmentMap, irradiance
 from torchlight.light_plane import LightPlane
+from torchlight.photo.observation import linear_photo
 from torchlight.precomputation import precompute
 from torchlight.relighting import relight
 from torchlight.synthetic import block_scene
@@ -68,6 +69,15 @@ def test_a_wild_horizon_is_evened_and_the_photograph_is_still_explained() -> Non
     assert float(left) < 0.4 * float(off)
     shown, seen = relight(SCENE, found, 4096), relight(SCENE, sky, 4096)
     assert float((shown - seen).square().mean().sqrt()) < 0.005 * float(seen.max())
+
+
+def test_the_even_sky_lights_the_plane_as_much_as_the_light_that_was_found() -> None:
+    """Where nothing stands in the way E = pi l."""
+    sky = smooth_sky()
+    empty = replace(SCENE, triangles=SCENE.triangles[:0])
+    facts = told(linear_photo(pictured(empty, sky, 0.0)), empty, sky, precompute(empty, 8, use_cache=False))
+    levels = torch.tensor([channel.level for channel in facts])
+    assert_close(levels, irradiance(sky).float() / torch.pi, rtol=5e-3, atol=0)  # texels of 12 degrees
 
 
 def test_a_light_that_stands_near_or_is_negative_is_refused() -> None:
