@@ -2,11 +2,12 @@
 
     python scripts/insertion_check.py [--data DIR] [--out out/insertion_check] [--samples 256] [--noise 0.005]
 
-The light is recovered from the 8-bit photograph without the object, never taken from the truth. Prints and writes a
-table and CSV of RMS differences: of 8-bit sRGB codes at the photograph's exposure, and linear, of the plane's
-brightest pixel as 255. The plane: all pixels that show it, and those of them that the new shadow darkens by more than
-2 %. The object: what the camera sees of it. The object's rim, one pixel to either side of its outline, is left out.
-"photograph" is what an insertion cannot be better than: the same difference where the object changes nothing.
+The light is recovered from the 8-bit photograph without the object, never taken from the truth, and made even where
+that does not tell, as `torchlight insert` does (not with --as-found). Prints and writes a table and CSV of RMS
+differences: of 8-bit sRGB codes at the photograph's exposure, and linear, of the plane's brightest pixel as 255. The
+plane: all pixels that show it, and those of them that the new shadow darkens by more than 2 %. The object: what the
+camera sees of it. The object's rim, one pixel to either side of its outline, is left out. "photograph" is what an
+insertion cannot be better than: the same difference where the object changes nothing.
 Needs Mitsuba (`pip install 'torchlight[mitsuba]'`), five times as fast where DRJIT_LIBLLVM_PATH names an LLVM.
 """
 
