@@ -36,8 +36,9 @@ def evened(
 ) -> EnvironmentMap:
     """Returns a light that explains the photograph as well, and is even where the photograph does not tell.
 
-    What is changed is the mean over texels of 6 degrees (`analysis.evenness` says how): where that falls, all of a texel's pixels fall by the same
-    factor, where it rises, even light is added. So a sun that the shadows show keeps its shape and its brightness.
+    What is changed is the mean over texels of 6 degrees (`analysis.evenness` says how): where that falls, all of a
+    texel's pixels fall by the same factor, where it rises, even light is added. So a sun that the shadows show keeps
+    its shape and its brightness.
 
     Args:
         photo: that the light was recovered from, linear; rectified where the scene has no camera.
