@@ -71,6 +71,13 @@ def test_a_wild_horizon_is_evened_and_the_photograph_is_still_explained() -> Non
     assert float((shown - seen).square().mean().sqrt()) < 0.005 * float(seen.max())
 
 
+def test_a_light_that_would_explain_the_photograph_worse_is_left_as_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    sky = smooth_sky()
+    photo = pictured(SCENE, sky, 0.005)
+    monkeypatch.setattr("torchlight.evenness.even_light", lambda facts, scales: 2 * facts.start)
+    assert evened(photo, SCENE, sky, precompute(SCENE, 8, use_cache=False)) is sky
+
+
 def test_the_even_sky_lights_the_plane_as_much_as_the_light_that_was_found() -> None:
     """Where nothing stands in the way E = pi l."""
     sky = smooth_sky()

@@ -25,6 +25,7 @@ from torchlight.transfer import Transfer
 RESOLUTION = 16  # texels along a face's edge: 6 degrees
 LEAST_ROWS = 128  # of the map: every texel holds centres of pixels
 RAYS = 2**13
+WORSE = 1.5  # times the residual: then the light is left as it was found
 
 
 @torch.no_grad()
@@ -34,7 +35,9 @@ def evened(
     light: EnvironmentMap,
     transfer: Transfer | None = None,
 ) -> EnvironmentMap:
-    """Returns a light that explains the photograph as well, and is even where the photograph does not tell.
+    """Returns a light that explains the photograph, and is even where the photograph does not tell.
+
+    Where that explains it worse than the light that was found, by half, the light that was found is returned.
 
     What is changed is the mean over texels of 6 degrees (`analysis.evenness` says how): where that falls, all of a
     texel's pixels fall by the same factor, where it rises, even light is added. So a sun that the shadows show keeps
@@ -53,13 +56,24 @@ def evened(
         what = "stands near" if light.plane is not None else "is negative somewhere"
         raise SceneError(f"evened: this light {what}; use it as it is")
     linear = photo if isinstance(photo, LinearPhoto) else linear_photo(photo)
-    light = finer(light)
+    found, light = light, finer(light)
     transfer = precompute(scene, RESOLUTION) if transfer is None else transfer
     before = texel_means(light.radiance, transfer.resolution)
     scales = scales_of(transfer.resolution)
     channels = told(linear, scene, light, transfer)
     after = torch.stack(list(single_threaded_map(lambda facts: even_light(facts, scales), channels)))
-    return replace(light, radiance=with_means(light.radiance, before, after))
+    even = replace(light, radiance=with_means(light.radiance, before, after))
+    worse = unexplained(linear, scene, even) > WORSE * unexplained(linear, scene, light)
+    return found if worse else even
+
+
+def unexplained(linear: LinearPhoto, scene: Scene, light: EnvironmentMap) -> float:
+    """Returns the root mean square of what a light leaves of the photograph, over samples by weight and channels."""
+    seen = observe(linear, scene)
+    left = (seen.samples - relight(scene, light, RAYS)).double().square().mean(dim=0)
+    weights = seen.weights.double()
+    left = torch.where(weights > 0, left, 0.0)
+    return float((left * weights).sum() / weights.sum().clamp(min=1e-300)) ** 0.5
 
 
 def told(linear: LinearPhoto, scene: Scene, light: EnvironmentMap, transfer: Transfer) -> list[Facts]:

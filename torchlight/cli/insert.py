@@ -46,7 +46,7 @@ def run(command: arguments.Insert) -> int:
     scene = placed(load_scene(command.scene), photo, str(command.photo))
     linear = linearize(photo, scene)
     light = read_light(command.light, command.convention)
-    own = not command.as_found and recovered(command, light, photo)
+    own, found = not command.as_found and recovered(command, light, photo), light
     if own:
         light = evened(linear, scene, light)
     triangles = standing(command, scene)
@@ -59,7 +59,7 @@ def run(command: arguments.Insert) -> int:
     for path, write in pictures.items():
         clipped = write(path, made, photo, storage)
         print(f"{path}: {said(made)}" if clipped is None else f"{path}: {said(made)}; {clipped:.1%} clipped")
-    said_of_light = [EVENED] if own else []
+    said_of_light = [EVENED] if light is not found else []
     for line in [*doubts(made, linear, rendering), *undetermined(command.light, light), *said_of_light]:
         print(line)
     return 0
