@@ -25,7 +25,7 @@ from torchlight.transfer import Transfer
 RESOLUTION = 16  # texels along a face's edge: 6 degrees
 LEAST_ROWS = 128  # of the map: every texel holds centres of pixels
 RAYS = 2**13
-WORSE = 1.5  # times the residual: then the light is left as it was found
+WORSE = 2.0  # times the residual: then the light is left as it was found
 
 
 @torch.no_grad()
@@ -37,7 +37,7 @@ def evened(
 ) -> EnvironmentMap:
     """Returns a light that explains the photograph, and is even where the photograph does not tell.
 
-    Where that explains it worse than the light that was found, by half, the light that was found is returned.
+    Where that leaves twice as much of it unexplained, the light that was found is returned.
 
     What is changed is the mean over texels of 6 degrees (`analysis.evenness` says how): where that falls, all of a
     texel's pixels fall by the same factor, where it rises, even light is added. So a sun that the shadows show keeps
