@@ -2,11 +2,12 @@
 
     python scripts/insertion_check.py [--data DIR] [--out out/insertion_check] [--samples 256] [--noise 0.005]
 
-The light is recovered from the 8-bit photograph without the object, never taken from the truth. Prints and writes a
-table and CSV of RMS differences: of 8-bit sRGB codes at the photograph's exposure, and linear, of the plane's
-brightest pixel as 255. The plane: all pixels that show it, and those of them that the new shadow darkens by more than
-2 %. The object: what the camera sees of it. The object's rim, one pixel to either side of its outline, is left out.
-"photograph" is what an insertion cannot be better than: the same difference where the object changes nothing.
+The light is recovered from the 8-bit photograph without the object, never taken from the truth, and made even where
+that does not tell, as `torchlight insert` does (not with --as-found). Prints and writes a table and CSV of RMS
+differences: of 8-bit sRGB codes at the photograph's exposure, and linear, of the plane's brightest pixel as 255. The
+plane: all pixels that show it, and those of them that the new shadow darkens by more than 2 %. The object: what the
+camera sees of it. The object's rim, one pixel to either side of its outline, is left out. "photograph" is what an
+insertion cannot be better than: the same difference where the object changes nothing.
 Needs Mitsuba (`pip install 'torchlight[mitsuba]'`), five times as fast where DRJIT_LIBLLVM_PATH names an LLVM.
 """
 
@@ -23,11 +24,12 @@ import torch
 import tyro
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from rendered.inserted import COLOUR, Thing, codes, quieter, rim, scene, seen, things
+from rendered.inserted import COLOUR, Shot, Thing, codes, kept, quieter, rim, scene, things
 from rendered.photograph import installed, stored
 from rendered.probes import light
 from torch import Tensor
 
+from torchlight.evenness import evened
 from torchlight.geometry.scene import Scene
 from torchlight.insertion.looking import OLD, PLANE, look
 from torchlight.insertion.rendering import Insertion, Rendering, insert
@@ -40,13 +42,14 @@ from torchlight.light.environment import EnvironmentMap
 from torchlight.light.procedural import sun_and_window
 from torchlight.metrics import brightest
 from torchlight.observing import linearize, observe
-from torchlight.photo.observation import linear_photo
+from torchlight.photo.observation import LinearPhoto, linear_photo
 from torchlight.pipeline import estimate
 
 BUILT_IN = "built-in sky"
 PROBES = ("kitchen_cross", "campus_cross", "galileo_probe", "beach_cross", "studio_small_05_1k")
 EXPOSED = 0.9  # linear value of the plane's brightest sample
 DARKENED = 0.02
+RENDERINGS = "renderings"  # folder of what Mitsuba made, for the next run
 LIMITS = {"plane": 3.0, "object": 6.0}
 
 
@@ -82,7 +85,7 @@ class Case:
     name: str
     environment: EnvironmentMap
     exposure: float
-    photo: Tensor
+    photo: LinearPhoto
     empty: Tensor
     found: EnvironmentMap
 
@@ -98,9 +101,10 @@ def cases(data: Path | None, names: tuple[str, ...]) -> dict[str, EnvironmentMap
 def taken(name: str, environment: EnvironmentMap, out: Path, samples: int, noise: float) -> Case:
     """Returns the photograph without the object, through a PNG, and the light recovered from it."""
     here = scene()
-    empty = [seen(environment, {}, samples, seed, block=False) for seed in (1, 2)]
+    renderings = out / RENDERINGS
+    empty = [kept(environment, Shot(samples, seed, block=False), renderings) for seed in (1, 2)]
     alone = (kinds(here, here.triangles[:0]) == PLANE).all(dim=-1)
-    radiance = quieter(seen(environment, {}, samples, seed=1), empty[0], environment, alone)
+    radiance = quieter(kept(environment, Shot(samples, 1), renderings), empty[0], environment, alone)
     shown = observe(linear_photo(radiance.float()), here)
     exposure = EXPOSED / brightest(shown.samples, shown.weights).item()
     path = out / f"{name.replace(' ', '_')}.png"
@@ -108,7 +112,7 @@ def taken(name: str, environment: EnvironmentMap, out: Path, samples: int, noise
     photo = linearize(read_photo(path), here)
     found = estimate(photo, here)
     print(f"{name}: {found.rms_255.item():.2f} of 255 is the fit of the recovered light", flush=True)
-    return Case(name, environment, exposure, photo.radiance, empty[1], found.light)
+    return Case(name, environment, exposure, photo, empty[1], found.light)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,12 +149,12 @@ def rms(difference: Tensor, mask: Tensor) -> float:
     return difference[:, mask].square().mean().sqrt().item()
 
 
-def measured(case: Case, thing: Thing, samples: int) -> tuple[Row, Tensor, Tensor]:
+def measured(case: Case, thing: Thing, samples: int, out: Path) -> tuple[Row, Tensor, Tensor]:
     """Returns the errors, the composite and the truth, both as 8-bit codes."""
     here = scene()
     made = insert(case.photo, here, case.found, thing.triangles, Material(COLOUR), Rendering())
     kind = kinds(here, thing.triangles)
-    noisy = seen(case.environment, thing.shapes(), samples, seed=2)
+    noisy = kept(case.environment, Shot(samples, 2, thing=thing), out / RENDERINGS)
     truth = quieter(noisy, case.empty, case.environment, (kind == PLANE).all(dim=-1)) * case.exposure
     shown, real = codes(made.composite), codes(truth)
     m = masks(kind, made)
@@ -215,17 +219,19 @@ def main(
     lights: tuple[str, ...] = (BUILT_IN, *PROBES),
     objects: tuple[str, ...] = (),
     true_light: bool = False,
+    as_found: bool = False,
 ) -> None:
     """Prints and writes the table and the pictures; exit code 1 where a limit is not met.
 
     Args:
         data: folder that holds probes/*.hdr and meshes/stanford-bunny.obj; without it the built-in sky alone is used.
-        out: folder for photographs, table and pictures.
+        out: folder for photographs, table and pictures, and for what Mitsuba made, which the next run takes from there.
         samples: light paths of Mitsuba per pixel.
         noise: standard deviation in the photograph, a share of white.
         lights: names.
         objects: names, by their first word; none = all.
         true_light: insert by the true light instead: what is then wrong is the insertion, not the recovered light.
+        as_found: insert by the recovered light as it is, not made even where the photograph does not tell.
     """
     if not installed():
         sys.exit("insertion_check: needs Mitsuba 3; pip install 'torchlight[mitsuba]'")
@@ -236,10 +242,12 @@ def main(
         case = taken(name, environment, out, samples, noise)
         if true_light:
             case = replace(case, found=EnvironmentMap(environment.radiance * case.exposure))
+        elif not as_found:
+            case = replace(case, found=evened(case.photo, scene(), case.found))
         for thing in chosen:
-            row, shown, real = measured(case, thing, samples)
+            row, shown, real = measured(case, thing, samples, out)
             rows.append(row)
-            pictures.append((f"{name}\n{thing.name}", codes(case.photo), shown, real))
+            pictures.append((f"{name}\n{thing.name}", codes(case.photo.radiance), shown, real))
             print(table([row]).splitlines()[-1], flush=True)
             write_tables(out, rows)
         draw(out / f"{name.replace(' ', '_')}_pictures.png", pictures[-len(chosen) :])

@@ -170,3 +170,21 @@ def test_one_line_for_files_that_cannot_be(desk: Path) -> None:
 def test_a_near_light_s_scene_wants_a_near_light(desk: Path) -> None:
     scene_file(desk, BOX + RECEIVER + LINEAR + "light: {height: 9}\n", "near.yaml")
     assert "the scene says that its light stands at the height 9" in insert(desk, *AT, scene="near.yaml").line
+
+
+def test_a_light_of_this_photograph_is_made_even_unless_told_otherwise(
+    desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another photograph's light, or one that says nothing, is used as it is. (Twice as bright stands for even.)"""
+    monkeypatch.setattr("torchlight.cli.insert.evened", lambda photo, scene, light: EnvironmentMap(2 * light.radiance))
+    found = {"photo_sha256": read_photo(desk / "photo.png").sha256}
+    plain = insert(desk, *AT, out="plain.exr")
+    write_light(desk / "light.exr", EnvironmentMap(torch.ones(3, 32, 64)), found)
+    evened = insert(desk, *AT, out="evened.exr")
+    told = insert(desk, *AT, "--as-found", out="told.exr")
+    for ran in (plain, evened, told):
+        assert ran.code == 0, ran.err
+    assert "--as-found uses it as it is" in evened.out
+    assert "--as-found" not in plain.out + told.out
+    pictures = [read_exr(desk / f"{name}.exr")[0] for name in ("evened", "told")]
+    assert float((pictures[0] / pictures[1]).nan_to_num(0.0).max()) == pytest.approx(2.0, rel=1e-3)  # inside the object

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from torchlight import batch as batch
     from torchlight.camera import Camera as Camera
+    from torchlight.evenness import evened as evened
     from torchlight.geometry.receiver import Receiver as Receiver
     from torchlight.geometry.scene import Scene as Scene
     from torchlight.insertion.relit import relight_photo as relight_photo
@@ -77,6 +78,7 @@ _HOME = {
     "Transfer": "transfer",
     "columns_for": "precomputation",
     "estimate": "pipeline",
+    "evened": "evenness",
     "insert": "insertion.rendering",
     "irradiance": "relighting",
     "linearize": "observing",
@@ -117,6 +119,7 @@ __all__ = [
     "Transfer",
     "columns_for",
     "estimate",
+    "evened",
     "insert",
     "irradiance",
     "linearize",

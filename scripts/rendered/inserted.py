@@ -8,6 +8,7 @@ mesh loader; torchlight gets the inscribed polyhedra of `geometry.primitives`, o
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,8 @@ from torchlight.geometry import primitives
 from torchlight.geometry.scene import Scene
 from torchlight.geometry.transforms import rotation_matrix
 from torchlight.insertion.placing import UPRIGHT, stood
+from torchlight.io.atomic import write_atomically
+from torchlight.io.cache import content_key
 from torchlight.io.meshes import read_mesh
 from torchlight.light.environment import EnvironmentMap, irradiance
 from torchlight.synthetic import block_scene
@@ -36,6 +39,7 @@ TABLE = 60.0  # edge of the plane
 COLOUR = (0.7, 0.45, 0.2)
 SPHERE, CYLINDER = 0.4, (0.3, 0.7)
 BUNNY_HEIGHT = 0.9
+VERSION = "inserted-1"  # in the key of stored pictures: raise it when they change
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +127,43 @@ def seen(
         **shapes,
     }
     return photograph(objects, view(), samples, depth=2, seed=seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One rendering by Mitsuba.
+
+    Attributes:
+        samples: light paths per pixel.
+        seed: of the random numbers.
+        block: whether the block stands there.
+        thing: what stands there too.
+    """
+
+    samples: int
+    seed: int
+    block: bool = True
+    thing: Thing | None = None
+
+
+def kept(environment: EnvironmentMap, shot: Shot, folder: Path) -> Float[Tensor, "3 height width"]:
+    """Returns `seen`, from its file in `folder` or rendered and stored there: in float32 both times."""
+    triangles = torch.zeros(0, 3, 3) if shot.thing is None else shot.thing.triangles
+    setting = (
+        f"{VERSION} {shot.samples} {shot.seed} {shot.block} {PHOTOGRAPHED} {TABLE} {ALBEDO} {BLOCK_ALBEDO} {COLOUR} "
+        f"{camera().intrinsics} {camera().distortion}"
+    )
+    parts = {"radiance": environment.radiance, "triangles": triangles.double(), "setting": setting}
+    path = folder / f"{content_key(parts)}.npz"
+    if not path.exists():
+        shapes = {} if shot.thing is None else shot.thing.shapes()
+        picture = seen(environment, shapes, shot.samples, shot.seed, shot.block)
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, radiance=picture.float().numpy())
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, buffer.getvalue())
+    with np.load(path) as data:
+        return torch.from_numpy(data["radiance"]).double()
 
 
 def quieter(

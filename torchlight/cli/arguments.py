@@ -222,6 +222,9 @@ class Insert:
     fit_brightness: bool = False
     """Scale the light, per channel, to what the photograph shows of the plane; done unasked where the scene has a
     reference."""
+    as_found: bool = False
+    """Use LIGHT as it is. Default: a light whose file says that it was recovered from this photograph is made even
+    where the photograph does not tell, since objects show what the plane does not."""
     convention: Convention | None = None
     """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
     rays: int = 8192

@@ -14,13 +14,14 @@ from torchlight.cli import arguments
 from torchlight.cli.outputs import check_outputs
 from torchlight.cli.progress import progress_bar
 from torchlight.errors import ConfigError, SceneError, TorchlightError
+from torchlight.evenness import evened
 from torchlight.geometry.scene import Scene
 from torchlight.geometry.transforms import apply_matrix
 from torchlight.insertion.placing import check_above, stood, unit_scale
 from torchlight.insertion.rendering import Insertion, Rendering, insert
 from torchlight.insertion.shading import Material
 from torchlight.io.images import Photo, read_photo
-from torchlight.io.lights import read_light
+from torchlight.io.lights import read_light, read_stored
 from torchlight.io.meshes import read_mesh
 from torchlight.io.observability_file import observability_beside, read_observability
 from torchlight.io.pictures import Storage, Untouched, check_suffix, storage_of, write_picture
@@ -30,6 +31,7 @@ from torchlight.light.environment import EnvironmentMap, luminance, radiance_at
 from torchlight.observing import linearize, placed
 from torchlight.photo.observation import LinearPhoto
 
+EVENED = "light: made even where the photograph does not tell; --as-found uses it as it is"
 DARKENED = 0.01  # of a pixel's light: what counts as shadow in what is said
 LEAST_CHANGE = 1e-3
 DOUBTFUL = 0.1  # share of the light on upright surfaces that is said to be uncertain
@@ -44,6 +46,9 @@ def run(command: arguments.Insert) -> int:
     scene = placed(load_scene(command.scene), photo, str(command.photo))
     linear = linearize(photo, scene)
     light = read_light(command.light, command.convention)
+    own, found = not command.as_found and recovered(command, light, photo), light
+    if own:
+        light = evened(linear, scene, light)
     triangles = standing(command, scene)
     referenced = scene.reference != "uniform" or scene.albedo_map is not None
     rendering = Rendering(command.rays, command.bounce, command.only_receiver, command.fit_brightness or referenced)
@@ -54,9 +59,17 @@ def run(command: arguments.Insert) -> int:
     for path, write in pictures.items():
         clipped = write(path, made, photo, storage)
         print(f"{path}: {said(made)}" if clipped is None else f"{path}: {said(made)}; {clipped:.1%} clipped")
-    for line in [*doubts(made, linear, rendering), *undetermined(command.light, light)]:
+    said_of_light = [EVENED] if light is not found else []
+    for line in [*doubts(made, linear, rendering), *undetermined(command.light, light), *said_of_light]:
         print(line)
     return 0
+
+
+def recovered(command: arguments.Insert, light: EnvironmentMap, photo: Photo) -> bool:
+    """Returns whether the light's file says that it was recovered from this photograph, as light from far away."""
+    if light.plane is not None or not light.nonnegative:
+        return False
+    return read_stored(command.light, command.convention)[1].get("photo_sha256") == photo.sha256
 
 
 def outputs(command: arguments.Insert) -> dict[Path, Callable[[Path, Insertion, Photo, Storage], float | None]]:
