@@ -78,6 +78,23 @@ def test_a_light_that_would_explain_the_photograph_worse_is_left_as_found(monkey
     assert evened(photo, SCENE, sky, precompute(SCENE, 8, use_cache=False)) is sky
 
 
+def test_where_rounding_leaves_no_answer_the_light_is_left_as_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def indefinite(facts: object, scales: object) -> Tensor:
+        return torch.linalg.cholesky(-torch.eye(2))
+
+    monkeypatch.setattr("torchlight.evenness.even_light", indefinite)
+    sky = smooth_sky()
+    assert evened(pictured(SCENE, sky, 0.005), SCENE, sky, precompute(SCENE, 8, use_cache=False)) is sky
+
+
+def test_progress_counts_channels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torchlight.evenness.even_light", lambda facts, scales: facts.start)
+    sky, counted = smooth_sky(), []
+    photo, transfer = pictured(SCENE, sky, 0.0), precompute(SCENE, 8, use_cache=False)
+    evened(photo, SCENE, sky, transfer, lambda *done: counted.append(done))
+    assert counted == [(1, 3), (2, 3), (3, 3)]
+
+
 def test_the_even_sky_lights_the_plane_as_much_as_the_light_that_was_found() -> None:
     """Where nothing stands in the way E = pi l."""
     sky = smooth_sky()

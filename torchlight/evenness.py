@@ -17,7 +17,7 @@ from torchlight.light.environment import EnvironmentMap
 from torchlight.observing import observe
 from torchlight.photo.noise import brightest_used, noise_share
 from torchlight.photo.observation import LinearPhoto, linear_photo
-from torchlight.precomputation import precompute
+from torchlight.precomputation import Progress, precompute
 from torchlight.relighting import albedo_over_pi, relight
 from torchlight.threads import single_threaded_map
 from torchlight.transfer import Transfer
@@ -34,10 +34,11 @@ def evened(
     scene: Scene,
     light: EnvironmentMap,
     transfer: Transfer | None = None,
+    progress: Progress | None = None,
 ) -> EnvironmentMap:
     """Returns a light that explains the photograph, and is even where the photograph does not tell.
 
-    Where that leaves twice as much of it unexplained, the light that was found is returned.
+    Where that leaves twice as much of it unexplained, or rounding leaves no answer, the light that was found is returned.
 
     What is changed is the mean over texels of 6 degrees (`analysis.evenness` says how): where that falls, all of a
     texel's pixels fall by the same factor, where it rises, even light is added. So a sun that the shadows show keeps
@@ -48,6 +49,7 @@ def evened(
         scene: of the photograph.
         light: recovered from it, from far away and nowhere negative.
         transfer: of the scene, a power of two of texels along an edge; 16 when absent, 6 degrees.
+        progress: called with channels done and their number.
 
     Raises:
         SceneError: the light stands near, or is negative somewhere.
@@ -61,8 +63,15 @@ def evened(
     before = texel_means(light.radiance, transfer.resolution)
     scales = scales_of(transfer.resolution)
     channels = told(linear, scene, light, transfer)
-    after = torch.stack(list(single_threaded_map(lambda facts: even_light(facts, scales), channels)))
-    even = replace(light, radiance=with_means(light.radiance, before, after))
+    after = []
+    try:
+        for means in single_threaded_map(lambda facts: even_light(facts, scales), channels):
+            after.append(means)
+            if progress is not None:
+                progress(len(after), len(channels))
+    except torch.linalg.LinAlgError:
+        return found
+    even = replace(light, radiance=with_means(light.radiance, before, torch.stack(after)))
     worse = unexplained(linear, scene, even) > WORSE * unexplained(linear, scene, light)
     return found if worse else even
 

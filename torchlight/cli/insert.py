@@ -48,7 +48,8 @@ def run(command: arguments.Insert) -> int:
     light = read_light(command.light, command.convention)
     own, found = not command.as_found and recovered(command, light, photo), light
     if own:
-        light = evened(linear, scene, light)
+        with progress_bar("making the light even") as progress:
+            light = evened(linear, scene, light, progress=progress)
     triangles = standing(command, scene)
     referenced = scene.reference != "uniform" or scene.albedo_map is not None
     rendering = Rendering(command.rays, command.bounce, command.only_receiver, command.fit_brightness or referenced)
