@@ -176,7 +176,11 @@ def test_a_light_of_this_photograph_is_made_even_unless_told_otherwise(
     desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another photograph's light, or one that says nothing, is used as it is. (Twice as bright stands for even.)"""
-    monkeypatch.setattr("torchlight.cli.insert.evened", lambda photo, scene, light: EnvironmentMap(2 * light.radiance))
+
+    def twice(photo: object, scene: object, light: EnvironmentMap, progress: object) -> EnvironmentMap:
+        return EnvironmentMap(2 * light.radiance)
+
+    monkeypatch.setattr("torchlight.cli.insert.evened", twice)
     found = {"photo_sha256": read_photo(desk / "photo.png").sha256}
     plain = insert(desk, *AT, out="plain.exr")
     write_light(desk / "light.exr", EnvironmentMap(torch.ones(3, 32, 64)), found)

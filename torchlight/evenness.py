@@ -38,7 +38,7 @@ def evened(
 ) -> EnvironmentMap:
     """Returns a light that explains the photograph, and is even where the photograph does not tell.
 
-    Where that leaves twice as much of it unexplained, or rounding leaves no answer, the light that was found is returned.
+    Where that leaves twice as much of it unexplained, or rounding leaves no answer, the light is returned as found.
 
     What is changed is the mean over texels of 6 degrees (`analysis.evenness` says how): where that falls, all of a
     texel's pixels fall by the same factor, where it rises, even light is added. So a sun that the shadows show keeps
