@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from torchlight.errors import SceneError
-from torchlight.evenness import evened, finer, texel_means, told, with_means
+from torchlight.evenness import evened, finer, texel_means, told, unexplained, with_means
 from torchlight.geometry.analytic_shadow import Block
 from torchlight.geometry.receiver import Receiver
 from torchlight.geometry.scene import Scene
@@ -78,6 +78,17 @@ def test_a_light_that_would_explain_the_photograph_worse_is_left_as_found(monkey
     assert evened(photo, SCENE, sky, precompute(SCENE, 8, use_cache=False)) is sky
 
 
+def test_detail_within_texels_keeps_explaining_the_photograph() -> None:
+    """One pass leaves six times as much: detail is scaled with its texel, and casts another shadow than even light."""
+    sky = smooth_sky()
+    sky.radiance[:, 40:60, 10:14] += 100.0  # a narrow window near the horizon
+    photo = pictured(SCENE, sky, 0.001)
+    found = evened(photo, SCENE, sky, precompute(SCENE, 8, use_cache=False))
+    linear = linear_photo(photo)
+    assert found is not sky
+    assert unexplained(linear, SCENE, found) < 1.9 * unexplained(linear, SCENE, sky)
+
+
 def test_where_rounding_leaves_no_answer_the_light_is_left_as_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def indefinite(facts: object, scales: object) -> Tensor:
         return torch.linalg.cholesky(-torch.eye(2))
@@ -92,14 +103,14 @@ def test_progress_counts_channels(monkeypatch: pytest.MonkeyPatch) -> None:
     sky, counted = smooth_sky(), []
     photo, transfer = pictured(SCENE, sky, 0.0), precompute(SCENE, 8, use_cache=False)
     evened(photo, SCENE, sky, transfer, lambda *done: counted.append(done))
-    assert counted == [(1, 3), (2, 3), (3, 3)]
+    assert counted == [(done, 9) for done in range(1, 10)]
 
 
 def test_the_even_sky_lights_the_plane_as_much_as_the_light_that_was_found() -> None:
     """Where nothing stands in the way E = pi l."""
     sky = smooth_sky()
     empty = replace(SCENE, triangles=SCENE.triangles[:0])
-    facts = told(linear_photo(pictured(empty, sky, 0.0)), empty, sky, precompute(empty, 8, use_cache=False))
+    facts = told(linear_photo(pictured(empty, sky, 0.0)), empty, sky, precompute(empty, 8, use_cache=False), sky)
     levels = torch.tensor([channel.level for channel in facts])
     assert_close(levels, irradiance(sky).float() / torch.pi, rtol=5e-3, atol=0)  # texels of 12 degrees
 

@@ -25,6 +25,7 @@ from torchlight.transfer import Transfer
 RESOLUTION = 16  # texels along a face's edge: 6 degrees
 LEAST_ROWS = 128  # of the map: every texel holds centres of pixels
 RAYS = 2**13
+PASSES = 3  # round the light as it has become
 WORSE = 2.0  # times the residual: then the light is left as it was found
 
 
@@ -49,7 +50,7 @@ def evened(
         scene: of the photograph.
         light: recovered from it, from far away and nowhere negative.
         transfer: of the scene, a power of two of texels along an edge; 16 when absent, 6 degrees.
-        progress: called with channels done and their number.
+        progress: called with channels done and their number, of all passes.
 
     Raises:
         SceneError: the light stands near, or is negative somewhere.
@@ -60,18 +61,21 @@ def evened(
     linear = photo if isinstance(photo, LinearPhoto) else linear_photo(photo)
     found, light = light, finer(light)
     transfer = precompute(scene, RESOLUTION) if transfer is None else transfer
-    before = texel_means(light.radiance, transfer.resolution)
-    scales = scales_of(transfer.resolution)
-    channels = told(linear, scene, light, transfer)
-    after = []
+    scales, even, count = scales_of(transfer.resolution), light, 0
     try:
-        for means in single_threaded_map(lambda facts: even_light(facts, scales), channels):
-            after.append(means)
-            if progress is not None:
-                progress(len(after), len(channels))
+        for _ in range(PASSES):
+            after = []
+            for means in single_threaded_map(
+                lambda facts: even_light(facts, scales), told(linear, scene, even, transfer, light)
+            ):
+                after.append(means)
+                count += 1
+                if progress is not None:
+                    progress(count, PASSES * len(light.radiance))
+            before = texel_means(even.radiance, transfer.resolution)
+            even = replace(even, radiance=with_means(even.radiance, before, torch.stack(after)))
     except torch.linalg.LinAlgError:
         return found
-    even = replace(light, radiance=with_means(light.radiance, before, torch.stack(after)))
     worse = unexplained(linear, scene, even) > WORSE * unexplained(linear, scene, light)
     return found if worse else even
 
@@ -85,26 +89,40 @@ def unexplained(linear: LinearPhoto, scene: Scene, light: EnvironmentMap) -> flo
     return float((left * weights).sum() / weights.sum().clamp(min=1e-300)) ** 0.5
 
 
-def told(linear: LinearPhoto, scene: Scene, light: EnvironmentMap, transfer: Transfer) -> list[Facts]:
-    """Returns what the photograph says of every channel, round the light that was found in it.
+def told(
+    linear: LinearPhoto, scene: Scene, light: EnvironmentMap, transfer: Transfer, found: EnvironmentMap
+) -> list[Facts]:
+    """Returns what the photograph says of every channel, round a light.
 
-    The noise is that measured, or what the light leaves of the photograph if that is more: a model that is off tells
-    less.
+    The noise is that measured, or what the light that was found leaves of the photograph if that is more: a model that
+    is off tells less. A texel's column is that of even light within it: detail that is scaled with its texel casts
+    another shadow, which the next pass, round the light as it has become, sees in what is left.
+
+    Args:
+        linear: the photograph.
+        scene: of the photograph.
+        light: that is made even.
+        transfer: of the scene.
+        found: the light as it was found.
     """
     observation = observe(linear, scene)
     factor = albedo_over_pi(scene.receiver, observation.samples).double()
     weights = observation.weights.double()
     received = replace(observation, samples=observation.samples.double() / factor)
-    left = received.samples - relight(scene, light, RAYS).double() / factor
-    left = torch.where(weights > 0, left, 0.0)
     noise = float(noise_share(received, scene.receiver.samples) * brightest_used(received))
-    misfit = float((left.square().mean(dim=0) * weights).sum() / weights.sum().clamp(min=1e-300))
+
+    def left_by(light: EnvironmentMap) -> Float[Tensor, "channels points"]:
+        left = received.samples - relight(scene, light, RAYS).double() / factor
+        return torch.where(weights > 0, left, 0.0)
+
+    misfit = float((left_by(found).square().mean(dim=0) * weights).sum() / weights.sum().clamp(min=1e-300))
     variance = max(noise**2, misfit, 1e-60)
     columns = transfer.transport.double()
     gram = (columns.T * weights) @ columns / variance
-    slopes = (left * weights) @ columns / variance
-    means, whole = texel_means(light.radiance, transfer.resolution), columns.sum(dim=0)
-    levels = (means @ whole / whole.sum().clamp(min=1e-300)).tolist()
+    slopes = (left_by(light) * weights) @ columns / variance
+    whole = columns.sum(dim=0)
+    levels = (texel_means(found.radiance, transfer.resolution) @ whole / whole.sum().clamp(min=1e-300)).tolist()
+    means = texel_means(light.radiance, transfer.resolution)
     return [Facts(gram, *parts) for parts in zip(slopes, means, levels, strict=True)]
 
 
