@@ -192,3 +192,18 @@ def test_a_light_of_this_photograph_is_made_even_unless_told_otherwise(
     assert "--as-found" not in plain.out + told.out
     pictures = [read_exr(desk / f"{name}.exr")[0] for name in ("evened", "told")]
     assert float((pictures[0] / pictures[1]).nan_to_num(0.0).max()) == pytest.approx(2.0, rel=1e-3)  # inside the object
+
+
+def test_what_is_wrong_with_the_object_is_said_before_the_light_is_made_even(
+    desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    monkeypatch.setattr("torchlight.cli.insert.evened", lambda *given, **named: asked.append(given))
+    write_light(
+        desk / "light.exr",
+        EnvironmentMap(torch.ones(3, 32, 64)),
+        {"photo_sha256": read_photo(desk / "photo.png").sha256},
+    )
+    (desk / "thing.obj").unlink()
+    ran = insert(desk, *AT)
+    assert (ran.code, "no such file" in ran.line, asked) == (2, True, [])

@@ -21,7 +21,7 @@ from torchlight.insertion.placing import check_above, stood, unit_scale
 from torchlight.insertion.rendering import Insertion, Rendering, insert
 from torchlight.insertion.shading import Material
 from torchlight.io.images import Photo, read_photo
-from torchlight.io.lights import read_light, read_stored
+from torchlight.io.lights import read_described
 from torchlight.io.meshes import read_mesh
 from torchlight.io.observability_file import observability_beside, read_observability
 from torchlight.io.pictures import Storage, Untouched, check_suffix, storage_of, write_picture
@@ -45,12 +45,10 @@ def run(command: arguments.Insert) -> int:
     photo = read_photo(command.photo)
     scene = placed(load_scene(command.scene), photo, str(command.photo))
     linear = linearize(photo, scene)
-    light = read_light(command.light, command.convention)
-    own, found = not command.as_found and recovered(command, light, photo), light
-    if own:
-        with progress_bar("making the light even") as progress:
-            light = evened(linear, scene, light, progress=progress)
-    triangles = standing(command, scene)
+    found, about = read_described(command.light, command.convention)
+    triangles = standing(command, scene)  # whatever is wrong is said before the work begins
+    own = not command.as_found and about.get("photo_sha256") == photo.sha256
+    light = made_even(linear, scene, found) if own else found
     referenced = scene.reference != "uniform" or scene.albedo_map is not None
     rendering = Rendering(command.rays, command.bounce, command.only_receiver, command.fit_brightness or referenced)
     with progress_bar("rendering") as progress:
@@ -66,11 +64,12 @@ def run(command: arguments.Insert) -> int:
     return 0
 
 
-def recovered(command: arguments.Insert, light: EnvironmentMap, photo: Photo) -> bool:
-    """Returns whether the light's file says that it was recovered from this photograph, as light from far away."""
+def made_even(photo: LinearPhoto, scene: Scene, light: EnvironmentMap) -> EnvironmentMap:
+    """Returns the light even where its photograph does not tell; as it is where it stands near or is negative."""
     if light.plane is not None or not light.nonnegative:
-        return False
-    return read_stored(command.light, command.convention)[1].get("photo_sha256") == photo.sha256
+        return light
+    with progress_bar("making the light even") as progress:
+        return evened(photo, scene, light, progress=progress)
 
 
 def outputs(command: arguments.Insert) -> dict[Path, Callable[[Path, Insertion, Photo, Storage], float | None]]:

@@ -43,8 +43,13 @@ def read_light(path: str | Path, convention: str | None = None) -> EnvironmentMa
         ConfigError: an unknown convention, or a lat-long's given for another kind of picture.
         FormatError: missing, neither EXR nor HDR, corrupt, of another shape, or with NaN or infinite pixels.
     """
-    light = read_sampled(path, convention)
-    return replace(to_environment(light), nonnegative=light.nonnegative)
+    return read_described(path, convention)[0]
+
+
+def read_described(path: str | Path, convention: str | None = None) -> tuple[EnvironmentMap, dict[str, Any]]:
+    """Returns what `read_light` does, and what else an EXR's metadata say: method, hashes and the like."""
+    light, said = read_stored(path, convention)
+    return replace(to_environment(light), nonnegative=light.nonnegative), said
 
 
 def read_sampled(path: str | Path, convention: str | None = None) -> SampledLight:
