@@ -37,7 +37,7 @@ def contours_that_meet(edges: np.ndarray, x: float, y: float) -> np.ndarray:
 def test_float32_leaves_no_contour_out(seed: int) -> None:
     x, y = 0.7 + seed, -30.0 * seed
     edges = edges_in_doubt(seed, x, y)
-    turning, places = edges[:, ORDER].T.astype(np.float32).copy(), np.tile(np.arange(COUNT, dtype=np.uint32), (3, 1))
+    turning, places = edges[:, ORDER].T.astype(np.float32).copy(), np.arange(COUNT, dtype=np.uint32)
     hits, first = np.empty(COUNT, np.uint32), np.empty((2, COUNT), np.int32)
     slack = kernel.SLACK * (abs(edges[:, [1, 4]]).max() + abs(y) * 2.0 + 1.0)
     doubt = kernel.ROUNDING * (x * abs(edges[:, [6, 9]]).max() + abs(y) * abs(edges[:, [7, 10]]).max() + 1.0)

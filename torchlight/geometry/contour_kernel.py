@@ -31,19 +31,18 @@ from torchlight.geometry.meeting_kernel import AT_ONCE, cross_all
 from torchlight.geometry.narrowing_kernel import collect, narrow, part_of, window_of
 from torchlight.geometry.visibility_kernel import CLUSTER
 
-COARSE, FINE = 6, 2  # directions along the edge of a block
+BLOCK = 3  # directions along the edge of a block that has its own table
 
 
 def empty_tables(clusters):
     """Returns room for tables of edges: what `visible_integrals` takes behind the lines; nothing in it is kept."""
     room = clusters * CLUSTER // 512 * 512 + 552  # rows fall into different sets of the processor's cache
     known, near = np.empty((7, room)), np.empty((room, 16))
-    wide, coarse, fine = (np.empty((12, room), np.float32) for _ in range(3))
-    places = np.empty((3, room), np.uint32)
-    places[0] = np.arange(room)
+    wide, turning = (np.empty((12, room), np.float32) for _ in range(2))
+    places = np.empty(room, np.uint32)
     verdict, chosen = np.empty(room, np.float32), np.empty((2, room), np.uint32)
     off, kept = np.empty(clusters), np.empty(clusters, np.uint32)
-    return known, near, wide, coarse, fine, places, verdict, chosen, off, kept
+    return known, near, wide, turning, places, verdict, chosen, off, kept
 
 
 def empty_lists(rows, columns, lines, room):
@@ -113,7 +112,7 @@ def total_of(weights, square):
 @no_type_check
 def visible_integrals(
     axes, clusters, edges, reach, cones, rectangles, slopes, shifts, weights, scales, columns, lines,
-    known, near, wide, coarse, fine, places, verdict, chosen, off, kept,
+    known, near, wide, turning, places, verdict, chosen, off, kept,
     hits, first, packs, inclines, crossings, states, scratch, differences, part, window, done, result,
 ):  # fmt: skip
     """Writes, for each square and sample, the integral of the visible share over the square's directions.
@@ -146,7 +145,7 @@ def visible_integrals(
         borrowed(cones),
     )
     rectangles, slopes, shifts, weights = borrowed(rectangles), borrowed(slopes), borrowed(shifts), borrowed(weights)
-    known, near, wide, coarse, fine = borrowed(known), borrowed(near), borrowed(wide), borrowed(coarse), borrowed(fine)
+    known, near, wide, turning = borrowed(known), borrowed(near), borrowed(wide), borrowed(turning)
     places, verdict, chosen, off, kept = (
         borrowed(places),
         borrowed(verdict),
@@ -171,34 +170,21 @@ def visible_integrals(
             axes, clusters, cones, square, rectangles[square], window, edges, verdict, chosen, off, kept, known, wide,
             near,
         )  # fmt: skip
-        for top in range(0, along, COARSE):
-            bottom = min(top + COARSE, along)
-            for left in range(0, along, COARSE):
-                right = min(left + COARSE, along)
+        for top in range(0, along, BLOCK):
+            bottom = min(top + BLOCK, along)
+            for left in range(0, along, BLOCK):
+                right = min(left + BLOCK, along)
                 part_of(rectangles, square, along, top, bottom, left, right, part)
                 window_of(slopes, square, top, bottom, left, right, reach, window)
-                surer, coarses = narrow(
-                    wide, places, 0, wides, part, window, near, verdict, chosen, known, sure, coarse
-                )
-                for upper in range(top, bottom, FINE):
-                    lower = min(upper + FINE, bottom)
-                    for west in range(left, right, FINE):
-                        east = min(west + FINE, right)
-                        part_of(rectangles, square, along, upper, lower, west, east, part)
-                        window_of(slopes, square, upper, lower, west, east, reach, window)
-                        surest, fines = narrow(
-                            coarse, places, 1, coarses, part, window, near, verdict, chosen, known, surer, fine
-                        )
-                        for i in range(upper, lower):
-                            for j in range(west, east):
-                                x, y, shift = slopes[square, i, j, 0], slopes[square, i, j, 1], shifts[square, i, j]
-                                if not cross_all(
-                                    known, surest, fine, places, fines, near, reach, x, y, shift, limit,
-                                    hits, first, packs, inclines, crossings, states,
-                                ):  # fmt: skip
-                                    return square
-                                add_shadow(
-                                    reach, y, weights[square, i, j], crossings, states, scratch, fineness, differences
-                                )
+                surer, fewer = narrow(wide, wides, part, window, near, verdict, chosen, known, sure, turning, places)
+                for i in range(top, bottom):
+                    for j in range(left, right):
+                        x, y, shift = slopes[square, i, j, 0], slopes[square, i, j, 1], shifts[square, i, j]
+                        if not cross_all(
+                            known, surer, turning, places, fewer, near, reach, x, y, shift, limit,
+                            hits, first, packs, inclines, crossings, states,
+                        ):  # fmt: skip
+                            return square
+                        add_shadow(reach, y, weights[square, i, j], crossings, states, scratch, fineness, differences)
         sum_rows(differences, total_of(weights, square) * lines, scales[square], square, result)
     return len(slopes)

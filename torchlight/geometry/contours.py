@@ -23,6 +23,7 @@ from torch import Tensor
 
 from torchlight.geometry.receiver import receiver_corners
 from torchlight.geometry.scene import Scene, shadowing
+from torchlight.geometry.soup import distinct, same_rows, weld
 from torchlight.geometry.visibility import LIFT, unit_frame
 
 CLUSTER = 16  # edges whose facing is decided together
@@ -79,21 +80,11 @@ def prepare(triangles: Float[Tensor, "faces 3 3"], lift: float) -> Contours:
     points, faces = clip(points, distinct(faces))
     normals, faces = unit_normals(points, faces)
     start_end, pairs, sides = edge_pairs(points, faces, normals)
-    both = np.where(sides[..., None] == 0, 0.0, normals[pairs])
-    flat = (both[:, 0] == both[:, 1]).all(axis=1) & (sides.sum(axis=1) == 0)
-    return clustered(points[faces], points[start_end[~flat]], both[~flat], sides[~flat])
-
-
-def weld(soup: Float[np.ndarray, "faces 3 3"]) -> tuple[Points, Corners]:
-    """Returns the distinct corners, equal to the bit, and each face's three of them."""
-    corners = soup.reshape(-1, 3)
-    order = np.lexsort(corners.T)
-    ordered = corners[order]
-    new = np.ones(len(corners), dtype=bool)
-    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    number = np.empty(len(corners), dtype=np.int64)
-    number[order] = np.cumsum(new) - 1
-    return ordered[new], number.reshape(-1, 3)
+    both = np.where(sides[..., None] == 0, 0.0, np.take(normals, pairs, axis=0))
+    flat = same_rows(both[:, 0], both[:, 1]) & (sides[:, 0] + sides[:, 1] == 0)
+    bent = np.flatnonzero(~flat)
+    start_end, both, sides = (np.take(part, bent, axis=0) for part in (start_end, both, sides))
+    return clustered(np.take(points, faces, axis=0), np.take(points, start_end, axis=0), both, sides)
 
 
 def clip(
@@ -117,17 +108,6 @@ def clip(
     ring = np.take_along_axis(ring, np.argsort(ring < 0, axis=1, kind="stable"), axis=1)
     quads = ring[ring[:, 3] >= 0]
     return np.concatenate([points, middle]), np.concatenate([kept, ring[:, :3], quads[:, [0, 2, 3]]])
-
-
-def distinct(faces: Corners) -> Int[np.ndarray, "kept_faces 3"]:
-    """Returns the faces with three different corners, one of each set of faces on the same corners."""
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    key = np.sort(faces, axis=1)
-    order = np.lexsort(key.T)
-    ordered = key[order]
-    new = np.ones(len(faces), dtype=bool)
-    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    return faces[np.sort(order[new])]
 
 
 def unit_normals(
@@ -171,7 +151,7 @@ def in_pairs(
     key: Int[np.ndarray, " sides"], angle: Callable[[Int[np.ndarray, " few"]], Float[np.ndarray, " few"]]
 ) -> Int[np.ndarray, " sides"]:
     """Returns the order of the keys, and of those that appear more than twice the order of their angles, in turn."""
-    order = np.argsort(key, kind="stable")
+    order = np.argsort(key)
     ordered = key[order]
     thrice = ordered[np.flatnonzero(ordered[2:] == ordered[:-2])]
     few = np.flatnonzero(np.isin(ordered, thrice)) if len(thrice) else thrice
@@ -194,25 +174,26 @@ def clustered(
     sides: Float[np.ndarray, "edges 2"],
 ) -> Contours:
     """Returns the edges sorted by bend and attitude and cut into clusters, those with one face last."""
-    towards = normals * sides[..., None] * [[1.0], [-1.0]]  # equal for two coplanar faces of one surface
-    towards *= np.where(towards[..., 2].sum(axis=1) < 0, -1.0, 1.0)[:, None, None]
-    axis = towards.sum(axis=1)
-    length = np.linalg.norm(axis, axis=1, keepdims=True)
+    towards = np.ascontiguousarray((normals * (sides * [1.0, -1.0])[..., None]).transpose(1, 2, 0))
+    towards *= np.where(towards[0, 2] + towards[1, 2] < 0, -1.0, 1.0)  # equal for two coplanar faces of one surface
+    axis = towards[0] + towards[1]
+    length = np.sqrt((axis * axis).sum(axis=0))
     axis = np.divide(axis, length, out=np.zeros_like(axis), where=length > 0)
-    bend = np.arccos(np.clip((towards[:, 0] * towards[:, 1]).sum(axis=1), -1.0, 1.0))
+    bend = np.arccos(np.clip((towards[0] * towards[1]).sum(axis=0), -1.0, 1.0))
     octave = np.ceil(np.log2(np.maximum(np.degrees(bend), 1.0))).astype(np.int64)  # 0 to 8
-    place = ((sides[:, 1] == 0) * 16 + octave) * 4**MORTON_BITS + morton(axis)
-    order = np.argsort(place, kind="stable")
-    axis, towards = axis[order], towards[order]
+    place = ((sides[:, 1] == 0) * 16 + octave) * 4**MORTON_BITS + morton(axis.T)
+    order = np.argsort(place)
+    axis, towards = np.take(axis, order, axis=1), np.take(towards, order, axis=2)
     first = np.arange(0, len(order), CLUSTER)
-    middle = np.add.reduceat(axis, first) if len(first) else np.zeros((0, 3))
-    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-300)
-    own = middle[np.arange(len(order)) // CLUSTER] if len(order) else middle
-    turned = np.where((own * axis).sum(axis=1) < 0, -1.0, 1.0)
-    cosine = ((towards * own[:, None]).sum(axis=2) * turned[:, None]).min(axis=1)
+    middle = np.add.reduceat(axis, first, axis=1) if len(first) else np.zeros((3, 0))
+    middle /= np.maximum(np.sqrt((middle * middle).sum(axis=0)), 1e-300)
+    own = np.repeat(middle, CLUSTER, axis=1)[:, : len(order)]
+    turned = np.where((own * axis).sum(axis=0) < 0, -1.0, 1.0)
+    cosine = np.minimum((towards[0] * own).sum(axis=0) * turned, (towards[1] * own).sum(axis=0) * turned)
     narrowest = np.minimum.reduceat(cosine, first) if len(first) else np.zeros(0)
     spread = np.where(narrowest > 0, np.arccos(np.clip(narrowest, -1, 1)), np.pi)
-    return Contours(faces, ends[order], normals[order], sides[order], np.r_[first, len(order)], middle, spread)
+    ends, normals, sides = (np.take(part, order, axis=0) for part in (ends, normals, sides))
+    return Contours(faces, ends, normals, sides, np.r_[first, len(order)], np.ascontiguousarray(middle.T), spread)
 
 
 def morton(axes: Points) -> Int[np.ndarray, " points"]:

@@ -117,7 +117,7 @@ class GridContours:
     @cached_property
     def clusters(self) -> Float[np.ndarray, "clusters 14 cluster"]:
         """The tables in float64, and x of both ends (12, 13)."""
-        return by_cluster(self.edges, [*FIELDS, 0, 3])
+        return by_cluster(self.edges, [*FIELDS, 0, 3], torch.float64)
 
 
 def on_grid(contours: Contours, receiver: Receiver, lines: int) -> GridContours:
@@ -131,23 +131,27 @@ def on_grid(contours: Contours, receiver: Receiver, lines: int) -> GridContours:
     grid, count = receiver_grid(receiver, lines), len(contours.ends)
     edges = np.zeros((len(contours.axes) * CLUSTER, 16))
     edges[:count, :6] = grid.places(contours.ends).reshape(count, 6)
-    normals = grid.normals(contours.normals)
-    normals[:, 1] = np.where(contours.sides[:, 1:] == 0, normals[:, 0], normals[:, 1])
-    edges[:count, 6:12], edges[:count, 12:14] = normals.reshape(count, 6), contours.sides
-    narrow = by_cluster(edges, FIELDS).astype(np.float32)
+    edges[:count, 6:12] = grid.normals(contours.normals).reshape(count, 6)
+    edges[:count, 12:14] = contours.sides
+    single = np.flatnonzero(contours.sides[:, 1] == 0)
+    edges[single, 9:12] = edges[single, 6:9]
+    narrow = by_cluster(edges, FIELDS, torch.float32)
     return GridContours(contours, grid, edges, narrow, cluster_axes(contours), reach_of(edges[:count]))
 
 
-def by_cluster(edges: Float[np.ndarray, "room 16"], fields: list[int]) -> Float[np.ndarray, "clusters fields cluster"]:
+def by_cluster(
+    edges: Float[np.ndarray, "room 16"], fields: list[int], dtype: torch.dtype
+) -> Float[np.ndarray, "clusters fields cluster"]:
     """Returns some columns of all edges as a table per cluster."""
-    return np.ascontiguousarray(edges.reshape(-1, CLUSTER, 16)[:, :, fields].transpose(0, 2, 1))
+    tables = torch.from_numpy(edges).to(dtype).reshape(-1, CLUSTER, edges.shape[1]).transpose(1, 2)
+    return tables[:, fields].contiguous().numpy()
 
 
 def reach_of(edges: Float[np.ndarray, "edges 16"]) -> Float[np.ndarray, " 6"]:
     """Returns the least and the largest y, the largest z, the largest |y|, and the largest |x| and |y| of a normal."""
     if len(edges) == 0:
         return np.zeros(6)
-    low, high = edges.min(axis=0), edges.max(axis=0)
+    low, high = torch.from_numpy(edges).amin(dim=0).numpy(), torch.from_numpy(edges).amax(dim=0).numpy()
     largest = np.maximum(-low, high)
     least, most = low[[1, 4]].min(), high[[1, 4]].max()
     across, along = largest[[6, 9]].max(), largest[[7, 10]].max()

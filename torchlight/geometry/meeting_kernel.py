@@ -90,7 +90,7 @@ def find_turning(turning, places, begin, end, near, x, y, shift, lines, slack, d
     found, kept = pick(first, end - begin, hits), np.uint32(0)
     for hit in range(found):
         i = hits[hit]
-        e = places[2, begin + i]
+        e = places[begin + i]
         one = near[e, 6] * x + near[e, 7] * y + near[e, 8]
         two = near[e, 9] * x + near[e, 10] * y + near[e, 11]
         side_one, side_two = near[e, 12], near[e, 13]

@@ -1,10 +1,10 @@
-"""Which edges may bound a shadow for a rectangle of directions, compiled: narrowed down step by step.
+"""Which edges may bound a shadow for a rectangle of directions, compiled: narrowed down in two steps.
 
 Edges come in clusters (`geometry.crossings`), each a small table in float32: a column per edge, so that loops over them
 become vector code; its rows are y and z of both ends (0 to 3), two normals (4 to 9), and the sides of the two faces
-(10, 11). The clusters are narrowed to the edges that may be contours for a square of directions, these to a coarse
-block of it, these to a fine block. What may turn within a block is a table with the same rows, and a number for each
-edge: its row among those of the square whose numbers in float64 stand near each other.
+(10, 11). The clusters are narrowed to the edges that may be contours for a square of directions, these to those that
+may turn within a block of it: a table with the same rows, and a number for each edge, its row among those of the square
+whose numbers in float64 stand near each other.
 
 What is known to be a contour for a whole block, with its n_e, is kept apart, in float64: y and z of both ends (0 to 3),
 x of both ends (4, 5) and n_e (6). What meets no line of the grid is left out.
@@ -79,24 +79,24 @@ def sort_out(verdict, count, chosen):
 
 @compiled
 @no_type_check
-def narrow(source, places, level, count, rectangle, window, near, verdict, chosen, known, knowns, turning):
-    """Writes the edges of a table that may turn within a rectangle into the next, and adds the known contours.
+def narrow(source, count, rectangle, window, near, verdict, chosen, known, knowns, turning, places):
+    """Writes the edges of a square's table that may turn within a block, and adds the contours known for the block.
 
     Returns how many are known to be contours for all its directions, and how many may turn.
 
     Args:
-        places: numbers of the edges of the tables of each level, [3, room].
-        level: of the source.
+        near: the numbers in float64 of the square's edges.
+        places: gets which of them may turn.
     """
     judge(source, count, rectangle, window, verdict)
     more, turnings = sort_out(verdict, count, chosen)
     for i in range(more):
-        add_known(near, places[level, chosen[0, i]], verdict[chosen[0, i]], known, np.uint64(knowns) + i)
+        add_known(near, chosen[0, i], verdict[chosen[0, i]], known, np.uint64(knowns) + i)
     for k in range(FIELDS):
         for i in range(turnings):
             turning[k, i] = source[k, chosen[1, i]]
     for i in range(turnings):
-        places[level + 1, i] = places[level, chosen[1, i]]
+        places[i] = chosen[1, i]
     return knowns + more, turnings
 
 
