@@ -14,8 +14,9 @@ from torchlight.drawing import elsewhere
 
 STARTED = """
 import sys
+from torchlight.cli import parse
 from torchlight.cli.loading import loaded
-loaded("estimate")
+loaded(parse(["estimate", "scene.yaml", "photo.png", "--out", "x"]))
 assert "torch._meta_registrations" not in sys.modules and "matplotlib" not in sys.modules
 import torch
 assert not hasattr(torch, "_meta_registrations")

@@ -116,7 +116,7 @@ def run(command: arguments.Command) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may hold what the terminal cannot show
     try:
         with messages_on_standard_error():
-            return loaded(type(command).__name__.lower()).run(command)
+            return loaded(command).run(command)
     except BrokenPipeError:
         raise
     except (TorchlightError, OSError) as error:

@@ -13,36 +13,50 @@ from pathlib import Path
 from threading import Thread
 from types import ModuleType, SimpleNamespace
 
+from torchlight.cli import arguments
+
 SOLVING = ("estimate", "batch", "joint", "demo", "sweep")
 # tyro checks the defaults of options by it, which is for tests to do: a twentieth of a second to import
 TYPEGUARD = SimpleNamespace(check_type=lambda value, kind: value, TypeCheckError=TypeError)
 DRAWING = "torchlight.drawing.elsewhere"
-# what torch does to tensors without values ("meta"), for its compilers: a third of its import, and nothing here asks
+# what torch does to tensors without values ("meta"), for its compilers: a third of its import
 UNASKED = "torch._meta_registrations"
 # of malloc.h: how much of the heap's end is kept, from which size on a tensor gets pages of its own (no more is
 # allowed), and how many heaps there are for threads to share
 MALLOPT = {"M_TRIM_THRESHOLD": (-1, 2**29), "M_MMAP_THRESHOLD": (-3, 2**25), "M_ARENA_MAX": (-8, 2)}
 
 
-def loaded(name: str) -> ModuleType:
-    """Returns a command's module with all that it needs.
+def loaded(command: arguments.Command) -> ModuleType:
+    """Returns the module of a command with all that it needs.
 
     What importing makes stays to the end: the garbage collector need not look through it, neither meanwhile nor later.
     Commands that solve first import Numba, which does without torch, whose library is loaded meanwhile (`begin`).
     """
     gc.disable()
+    name = type(command).__name__.lower()
     if name == "estimate":
         keep_freed_memory()
     if name in SOLVING:
         # Numba would import it for the sake of np.dot, which no kernel calls
         with hidden("scipy.linalg"), suppress(ImportError):
             import_module("numba.np.arraymath")
+    if asks_little(command):
         with postponed(UNASKED):
             import_module("torch")
     module = import_module(f"torchlight.cli.{name}")
     gc.freeze()
     gc.enable()
     return module
+
+
+def asks_little(command: arguments.Command) -> bool:
+    """Returns whether a command is an estimate whose work is done by compiled code, so that torch need not be whole.
+
+    All else is given all of torch: its random generators, its transforms and its own operators do not work without.
+    """
+    if not isinstance(command, arguments.Estimate):
+        return False
+    return command.settings.light.method == "adaptive" and command.settings.compute.device in ("auto", "cpu")
 
 
 def begin(words: Sequence[str]) -> None:
