@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 from cameras import exif_block, exposure_entries, jpeg_with
@@ -25,7 +26,7 @@ from torchlight.synthetic import block_values, expose, pixel_rays, receiver_imag
 
 PAGE = Path(__file__).parent.parent / "docs" / "joint.md"
 SECOND = RECTIFIED.replace("[0, 0, 20]", "[0, 0, 70]")
-FILES = ["fit_1.png", "fit_2.png", "joint.json", "light.exr", "light.hdr", "light.png"]
+FILES = ["confidence.exr", "fit_1.png", "fit_2.png", "joint.json", "light.exr", "light.hdr", "light.png", "report.html"]
 NOISE = 3e-4  # at 1 % these 256 samples determine no texel of 16 x 16 at all, one photograph or two
 VIEWS = "photographs:\n  - {scene: one.yaml, photo: one.png}\n  - {scene: two.yaml, photo: two.png}\n"
 
@@ -103,6 +104,31 @@ def test_one_light_and_a_fit_per_photograph(made: tuple[Path, Ran]) -> None:
             picture = cv2.imread(str(folder / "out" / name))
             assert picture is not None
             assert np.ptp(picture) > 200
+
+
+def test_confidence_is_of_both_together(made: tuple[Path, Ran]) -> None:
+    folder, found = made[0], result(made[0])
+    with OpenEXR.File(str(folder / "out/confidence.exr"), separate_channels=True) as file:
+        planes, said = (
+            {name: one.pixels for name, one in file.channels().items()},
+            json.loads(file.header()["torchlight"]),
+        )
+    assert set(planes) == {"observability", "deviation.R", "deviation.G", "deviation.B"}
+    assert (said["fill"], said["method"]) == ("none", "texels")
+    assert found["confidence"]["degrees_of_freedom"] > 10
+    assert 0 <= found["confidence"]["determined_share"] <= 1
+    assert planes["observability"].max() <= 1.0001
+
+
+def test_the_report_shows_every_photograph_and_needs_nothing_else(made: tuple[Path, Ran]) -> None:
+    page = (made[0] / "out/report.html").read_text()
+    for name in ("one.png", "two.png"):
+        assert f"{name}: what was seen, and what the light explains" in page
+        assert f'alt="The photograph {name}"' in page
+    assert "the first 2 together" in page
+    assert f"{result(made[0])['photographs'][1]['exposure']:.4g} +- " in page
+    assert not re.search(r'(src|href)="(?!data:)', page)
+    assert page.count("data:image/jpeg") == 2
 
 
 def test_the_exposure_is_found(made: tuple[Path, Ran]) -> None:

@@ -26,6 +26,7 @@ from torchlight.joint import (
     explain_together,
     explain_together_robustly,
     side_by_side,
+    with_confidence,
 )
 from torchlight.light import latlong
 from torchlight.light.bases import Texels
@@ -33,6 +34,7 @@ from torchlight.light.environment import EnvironmentMap
 from torchlight.photo.noise import brightest_used, noise_share
 from torchlight.photo.observation import Observation, Rejection, linear_photo
 from torchlight.pipeline import explain
+from torchlight.pipeline import with_confidence as single_confidence
 from torchlight.relighting import irradiance
 from torchlight.solvers import NNLS
 from torchlight.synthetic import block_scene, block_values, pixel_rays, receiver_image
@@ -193,6 +195,35 @@ def test_a_photograph_that_the_light_does_not_explain_counts_less() -> None:
     assert found.trust[0] == 1.0
     assert found.trust[1] < 0.3
     assert_close(plain.trust, torch.ones(2, dtype=torch.float64), rtol=0, atol=0.3)
+
+
+def test_two_equal_photographs_are_trusted_as_one_of_half_the_variance() -> None:
+    alone = explain(photographed(0, 1.0), scene(0), transfer(0), BASIS, NNLS())
+    measured = single_confidence(alone, scene(0), transfer(0), NNLS()).confidence
+    assert measured is not None
+    quieter = replace(alone, noise=alone.observation.samples.new_tensor(measured.noise / math.sqrt(2)))
+    expected = single_confidence(quieter, scene(0), transfer(0), NNLS()).confidence
+    pair = [View(scene(0), photographed(0, 1.0), 1.0)] * 2
+    poses = side_by_side([scene(0)] * 2, [transfer(0)] * 2, NNLS())
+    both = with_confidence(explain_together(pair, poses, BASIS, NNLS()), poses, NNLS()).estimate.confidence
+    assert expected is not None
+    assert both is not None
+    assert both.noise == pytest.approx(measured.noise)
+    assert_close(both.observability, expected.observability, rtol=1e-5, atol=1e-7)
+    assert_close(both.deviation, expected.deviation, rtol=1e-4, atol=0)
+    assert both.deviation.isfinite().double().mean() > 0.5
+
+
+def test_the_noisier_photograph_adds_less_to_what_is_determined() -> None:
+    def degrees(noise: float) -> float:
+        second = replace(photographed(1, 1.0, noise), weights=used(1))
+        pair = [View(scene(0), photographed(0, 1.0, 0.003), 1.0), View(scene(1), second, 1.0)]
+        poses = side_by_side([scene(0), scene(1)], [transfer(0), transfer(1)], NNLS())
+        found = with_confidence(explain_together(pair, poses, BASIS, NNLS()), poses, NNLS()).estimate.confidence
+        assert found is not None
+        return found.degrees_of_freedom
+
+    assert degrees(0.003) > degrees(0.1) + 1
 
 
 def test_a_foreign_shadow_is_let_go_of() -> None:

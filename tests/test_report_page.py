@@ -25,7 +25,8 @@ from torchlight.photo.observation import Rejection
 from torchlight.pipeline import Estimate, estimate, with_confidence
 from torchlight.report import jpegs, panels
 from torchlight.report.colours import coloured
-from torchlight.report.page import angles, photo_files
+from torchlight.report.page import photo_files
+from torchlight.report.solving import angles
 from torchlight.results import Provenance, select, write_result
 from torchlight.synthetic import block_scene
 from torchlight.transfer import Transfer

@@ -25,6 +25,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchlight import metrics
+from torchlight.analysis.confidence import Found, confidence
 from torchlight.analysis.observability import coarsened
 from torchlight.errors import ConfigError, SceneError
 from torchlight.geometry.contours import scene_contours
@@ -154,7 +155,7 @@ def explain_together(views: Sequence[View], poses: Poses, basis: Basis, solver: 
         SolveError: the photographs do not determine an exposure.
     """
     check_views(views)
-    factors = [albedo_over_pi(view.scene.receiver, view.observation.samples) for view in views]
+    factors = [albedo_of(view) for view in views]
     scales = exposures(views, poses, factors)
     received = at_one_exposure(views, scales, factors)
     found, noise = found_together(views, poses, basis, received, solver, scales)
@@ -167,6 +168,38 @@ def explain_together(views: Sequence[View], poses: Poses, basis: Basis, solver: 
     estimate = Estimate(light, found.solution, basis, stacked(seen), together, peaks, found.refinement, found.noise)
     own = tuple(part * scale.to(part) for part, scale in zip(predicted, scales.values, strict=True))
     return JointEstimate(estimate, tuple(views), scales, own, (noise.min() / noise) ** 2)
+
+
+def with_confidence(joint: JointEstimate, poses: Poses, solver: Solver | AdaptiveHaar) -> JointEstimate:
+    """Returns the estimate with how far its light can be trusted (`analysis.confidence`), of all samples together.
+
+    The noise is that of the photograph that counts most; the weights say how much more the others' is. How uncertain
+    the exposures are that were found is not accounted for.
+
+    Args:
+        joint: as `explain_together` returns it.
+        poses: the columns that the light was found with.
+        solver: it was found with.
+    """
+    estimate, factors = joint.estimate, [albedo_of(view) for view in joint.views]
+    sizes = [view.scene.receiver.points for view in joint.views]
+    factor = torch.cat([part.expand(-1, size) for part, size in zip(factors, sizes, strict=True)], dim=-1)
+    received = replace(estimate.observation, samples=estimate.observation.samples / factor)
+    if estimate.noise is None:
+        apart = at_one_exposure(joint.views, joint.scales, factors)
+        own = own_noise(apart, [view.scene.receiver.samples for view in joint.views], None)
+        noise = own[joint.trust.argmax()] / brightest_used(received)
+    else:
+        noise = estimate.noise
+    kept = None if estimate.refinement is None else estimate.refinement.kept
+    coefficients, predicted = estimate.solution.coefficients, estimate.predicted / factor
+    found = Found(received, predicted, estimate.basis, solver, coefficients, kept, float(noise))
+    return replace(joint, estimate=replace(estimate, confidence=confidence(poses.columns, found)))
+
+
+def albedo_of(view: View) -> Float[Tensor, "3 _"]:
+    """Returns albedo over pi of a photograph's samples, or of all of them."""
+    return albedo_over_pi(view.scene.receiver, view.observation.samples)
 
 
 def exposures(views: Sequence[View], poses: Poses, factors: Sequence[Float[Tensor, "3 1"]]) -> Scales:

@@ -13,6 +13,7 @@ from torchlight import doubts
 from torchlight.analysis.added import Added, Determined, added
 from torchlight.analysis.sampling import random_rotations
 from torchlight.batch.ending import unusable_channels
+from torchlight.batch.looking import shown
 from torchlight.cli import arguments, fail
 from torchlight.cli.progress import progress_bar
 from torchlight.config import Config, Method
@@ -33,6 +34,7 @@ from torchlight.joint import (
     explain_together,
     explain_together_robustly,
     side_by_side,
+    with_confidence,
 )
 from torchlight.light.bases import Basis
 from torchlight.method import named_device, named_method
@@ -56,12 +58,14 @@ class Read:
         view: scene and samples; the exposure where it is a number.
         exif: what the camera wrote beside it.
         sha256: of the photograph.
+        picture: of it, small, for the report (JPEG).
     """
 
     pictured: Pictured
     view: View
     exif: Exif
     sha256: str
+    picture: bytes
 
 
 def run(command: arguments.Joint) -> int:
@@ -128,7 +132,7 @@ def read_view(pictured: Pictured, photos: Sequence[Path], device: torch.device) 
     parts = (observation.samples, observation.weights, observation.rejections)
     seen = Observation(*(part.to(device) for part in parts))
     scale = pictured.exposure if isinstance(pictured.exposure, float) else None
-    return Read(pictured, View(here, seen, scale), stored.exif, stored.sha256)
+    return Read(pictured, View(here, seen, scale), stored.exif, stored.sha256, shown(stored, here))
 
 
 def with_exif(read: Sequence[Read]) -> list[Read]:
@@ -183,11 +187,12 @@ def solved(
     """
     scenes: list[Scene] = [view.scene for view in views]
     solve = explain_together_robustly if robust else explain_together
-    joint = solve(views, side_by_side(scenes, transfers, solver), basis, solver)
+    poses = side_by_side(scenes, transfers, solver)
+    joint = solve(views, poses, basis, solver)
     unusable = unusable_channels(joint.estimate)
     if unusable:
         raise SolveError(f"the photographs together: {unusable}")
-    return joint
+    return with_confidence(joint, poses, solver)
 
 
 def what_was_added(read: Sequence[Read], joint: JointEstimate, command: arguments.Joint) -> Added:
@@ -209,7 +214,9 @@ def sources(read: Sequence[Read]) -> list[Source]:
 def source(item: Read, origin: str) -> Source:
     """Returns where a photograph and its exposure come from."""
     scene = item.pictured.scene
-    return Source(item.pictured.photo, scene, item.sha256, sha256_of(read_bytes(scene)), origin, item.exif)
+    return Source(
+        item.pictured.photo, scene, item.sha256, sha256_of(read_bytes(scene)), origin, item.exif, item.picture
+    )
 
 
 def report(command: arguments.Joint, origins: Sequence[Source], joint: JointEstimate, told: Added) -> None:

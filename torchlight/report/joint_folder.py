@@ -10,6 +10,7 @@ from typing import Any
 from torchlight import fit, metrics
 from torchlight.analysis.added import Added, Determined
 from torchlight.analysis.nullity import TOLERANCE
+from torchlight.confidence import trusted, write_confidence
 from torchlight.fates import fates_picture
 from torchlight.io.atomic import partial_folder, write_atomically
 from torchlight.io.exif import Exif
@@ -18,10 +19,12 @@ from torchlight.io.lights import write_light
 from torchlight.io.rgbe import write_hdr
 from torchlight.joint import JointEstimate
 from torchlight.preview import preview
+from torchlight.report.joint_page import joint_page
 from torchlight.results import (
     CONVENTION,
     found_light,
     light_is,
+    marked,
     number,
     recorded,
     rejected,
@@ -42,6 +45,7 @@ class Source:
         scene_sha256: of the scene file.
         exposure_from: "given", "exif", "estimated", or "unit" of the first where all are found.
         exif: what the camera wrote beside the photograph.
+        picture: of the photograph, small (JPEG).
     """
 
     photo: Path
@@ -50,6 +54,7 @@ class Source:
     scene_sha256: str
     exposure_from: str
     exif: Exif
+    picture: bytes = b""
 
 
 @dataclass(frozen=True)
@@ -76,8 +81,16 @@ def write_joint(
 ) -> dict[str, Any]:
     """Writes the folder of a joint estimate and returns what joint.json holds.
 
-    light.exr, light.hdr and light.png (the light), fit_1.png, fit_2.png, ... (one per photograph), joint.json; of the
-    adaptive method also refinement.png.
+    light.exr, light.hdr and light.png (the light), confidence.exr, fit_1.png, fit_2.png, ... (one per photograph),
+    report.html, joint.json; of the adaptive method also refinement.png.
+
+    Args:
+        folder: to write.
+        joint: with its confidence.
+        sources: of the photographs.
+        told: what each of them added.
+        asked: what the call asked for.
+        overwrite: replace an existing folder.
 
     Raises:
         FormatError: the folder exists and `overwrite` is False, or it cannot be written.
@@ -86,15 +99,19 @@ def write_joint(
     shown = preview(estimate.light)
     result = {**summary(joint, sources, told, asked), "preview_clipped_flux": shown.clipped_flux}
     fits = [fit_picture(joint, sources[index], index) for index in range(len(sources))]
+    page = joint_page(joint, [item.picture for item in sources], result, shown.scale)
     with partial_folder(folder, overwrite=overwrite) as partial:
-        metadata = {key: result[key] for key in ("method", "resolution", "light_is")}
+        metadata = {key: result[key] for key in ("method", "resolution", "light_is", "fill")}
         write_light(partial / "light.exr", estimate.light, metadata)
         write_hdr(partial / "light.hdr", estimate.light.radiance)  # torchlight's convention, 0 for negative
-        write_atomically(partial / "light.png", shown.png)
+        write_atomically(partial / "light.png", marked(shown, estimate, result["fill"]))
+        if estimate.confidence is not None:
+            write_confidence(partial / "confidence.exr", estimate.confidence, estimate.light.height, metadata)
         for index, fit in enumerate(fits):
             write_atomically(partial / f"fit_{index + 1}.png", fit)
         if estimate.refinement is not None:
             write_atomically(partial / "refinement.png", fates_picture(estimate.refinement, estimate.basis.resolution))
+        write_atomically(partial / "report.html", page)
         write_json(partial / "joint.json", result)
     return result
 
@@ -119,6 +136,8 @@ def summary(joint: JointEstimate, sources: Sequence[Source], told: Added, asked:
         "exposure_solves": joint.scales.rounds,
         "exposures_converged": joint.scales.converged,
         **found_light(joint.estimate, asked.method, asked.solver),
+        "confidence": trusted(joint.estimate.confidence, joint.estimate.light),
+        "fill": "none",
         "added": added_summary(told, asked),
         "units": "relative",
         "light_is": meanings.pop() if len(meanings) == 1 else "radiance x exposure, albedo known in part",

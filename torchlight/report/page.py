@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from torchlight.report import panels
 from torchlight.report.colours import SEQUENTIAL, bar, rules
 from torchlight.report.jpegs import size_of_jpeg
 from torchlight.report.markup import data_uri, document, facts, figure, grid, listed, paragraph, picture, section, text
+from torchlight.report.solving import angles, peaks, solve_numbers
 
 RESIDUAL = "Residual: predicted - observed, in luminance. Purple: predicted too bright. Orange: too dark."
 MARKS = "Hatched: less than half of fine structure is determined. Crossed: not observed. "
@@ -160,8 +160,8 @@ def trust(estimate: Estimate, result: Mapping[str, Any], radiance: Float[Tensor,
     said = result["confidence"]
     middle = said["deviation_median"]
     yield paragraph(
-        f"At {said['noise']:.2%} noise the photograph determines {said['degrees_of_freedom']:.0f} numbers per channel, "
-        f"and structure as fine as {said['texels_per_edge']} texels along a cube edge over "
+        f"At {said['noise']:.2%} noise {said['degrees_of_freedom']:.0f} numbers per channel are determined, and "
+        f"structure as fine as {said['texels_per_edge']} texels along a cube edge over "
         f"{said['determined_share']:.0%} of the upper hemisphere."
         + (
             ""
@@ -238,19 +238,9 @@ def numbers(result: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "Error, relative", "-" if result["rms_relative"] is None else f"{result['rms_relative']:.3%}"
     yield "Samples used", f"{result['visible']} of {result['points']} ({result['visible_share']:.1%})"
     yield "Left out", ", ".join(f"{count} {why}" for why, count in result["rejected"].items())
-    yield "Method", f"{result['method']}, {result['resolution']} texels along a cube edge, solver {result['solver']}"
-    if result["functions"]:
-        yield "Functions in use", f"{', '.join(map(str, result['functions']))} (red, green, blue)"
-    yield "Not zero", f"{', '.join(map(str, result['nonzero']))} of {result['coefficients']} coefficients"
-    yield "Solver ended", f"{', '.join(result['status'])} after {', '.join(map(str, result['steps']))} steps"
-    yield "Certificates", f"KKT residual {scientific(result['kkt_residual'])}; gap {scientific(result['gap'])}"
+    yield from solve_numbers(result)
     yield "Near light", near(result["near_light"])
     yield "Clipped in light.png", f"{result['preview_clipped_flux']:.0%} of the flux"
-
-
-def scientific(values: Sequence[float | None]) -> str:
-    """Returns numbers with their powers of ten."""
-    return ", ".join("-" if value is None else f"{value:.1e}" for value in values)
 
 
 def near(found: Mapping[str, Any] | None) -> str:
@@ -260,26 +250,6 @@ def near(found: Mapping[str, Any] | None) -> str:
     if not found["near"]:
         return "no sign of it"
     return f"yes: its direction drifts by {found['drift_degrees']:.1f} degrees over the receiver"
-
-
-def peaks(result: Mapping[str, Any]) -> str:
-    """Returns a table of the strongest sources."""
-    if result["peak_direction"] is None:
-        return ""
-    first = {"direction": result["peak_direction"], "share": result["peak_share"]}
-    rows = [
-        (f"{azimuth:.1f}", f"{elevation:.1f}", f"{peak['share']:.1%}")
-        for peak in (first, *result["peaks"])
-        for azimuth, elevation in [angles(peak["direction"])]
-    ]
-    head = ("azimuth from +x [degrees]", "elevation [degrees]", "share of the light on the plane")
-    return grid("Strongest sources", head, rows)
-
-
-def angles(direction: Sequence[float]) -> tuple[float, float]:
-    """Returns azimuth (from +x towards +y) and elevation in degrees."""
-    x, y, z = direction
-    return math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
 
 
 def provenance(result: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
