@@ -254,6 +254,21 @@ def test_brightness_is_what_the_photograph_shows_of_what_the_light_says() -> Non
     assert_close(fitted.composite[:, whole], 0.5 * plain.composite[:, whole], rtol=0.01, atol=0)
 
 
+def test_brightness_is_that_of_the_receiver_whatever_lies_beyond() -> None:
+    camera, light = looking((80, 60)), sun_and_window(32)
+    small = replace(PLANE, size=(1.0, 1.0), samples=(10, 10))
+    scene = Scene(NOTHING, small, camera)
+    level = relight(Scene(NOTHING, small), light, 8192).mean(dim=1)[:, None, None]
+    index = torch.arange(80 * 60)
+    rays = pixel_directions(camera, torch.stack([index % 80, index // 80], dim=-1).double())
+    points = camera.position - rays * (camera.position[2] / rays[:, 2:])
+    inside = (points[:, :2].abs() < 0.6).all(dim=-1).reshape(60, 80)
+    assert 0.01 < inside.double().mean() < 0.3
+    photo = torch.where(inside, 0.5 * level, 0.0)
+    made = insert(photo, scene, light, stood(box((0.1, 0.1, 0.1))), WHITE, Rendering(4096))
+    assert_close(made.brightness, torch.full((3,), 0.5, dtype=torch.float64), rtol=0.02, atol=0)
+
+
 def test_a_near_light_s_shadow_is_that_of_relight() -> None:
     plane = LightPlane(3.0)
     light = replace(sun_and_window(32), plane=plane)

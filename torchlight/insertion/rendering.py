@@ -26,7 +26,7 @@ from torchlight.insertion.placing import check_above
 from torchlight.insertion.plane import Lamp, behind, darkened, receive_behind
 from torchlight.insertion.refining import COARSEST, Computed, Picture, Progress, Steps, refined
 from torchlight.insertion.shading import Material
-from torchlight.insertion.sight import Sight, sight_of
+from torchlight.insertion.sight import Sight, receiver_pixels, sight_of
 from torchlight.insertion.stage import Stage, stage_of
 from torchlight.insertion.unmixing import visible_part
 from torchlight.interreflection import WHITE_PAPER
@@ -129,7 +129,7 @@ def insert(
     darker, shown = shadow.values.split(3)
     factor = albedo_over_pi(scene.receiver, shown)[:, :, None]
     predicted = torch.where(shadow.kind == PLANE, shown * factor, 0.0)
-    brightness = brightness_of(linear, predicted)
+    brightness = brightness_of(linear, predicted, receiver_pixels(sight))
     gain = brightness if rendering.fit_brightness else torch.ones_like(brightness)
     pixels = linear.radiance
     ratio = (1 - darker) * visible_part(pixels, thing.before, thing.after)
@@ -245,10 +245,18 @@ def around(sight: Sight, triangles: Float[Tensor, "faces 3 3"]) -> Int[Tensor, "
     return (rows[:, None] * width + columns).flatten()
 
 
-def brightness_of(photo: LinearPhoto, predicted: Float[Tensor, "3 height width"]) -> Float[Tensor, "3"]:
-    """Returns the median of photograph / prediction over the lit plane, per channel; NaN where there is none."""
+def brightness_of(
+    photo: LinearPhoto, predicted: Float[Tensor, "3 height width"], known: Bool[Tensor, "height width"]
+) -> Float[Tensor, "3"]:
+    """Returns the median of photograph / prediction over the lit plane, per channel; NaN where there is none.
+
+    Args:
+        photo: linear.
+        predicted: what the plane shows by the light; 0 where no plane is seen.
+        known: pixels of the receiver: beyond it a desk may end.
+    """
     shown = predicted.amax(dim=0)
-    lit = photo.usable & (shown > BRIGHT * shown.max())
+    lit = photo.usable & known & (shown > BRIGHT * shown.max())
     if not bool(lit.any()):
         return torch.full((3,), torch.nan, dtype=torch.float64)
     light = predicted[:, lit]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchlight.camera import Camera, pixel_directions
+from torchlight.camera import Camera, pixel_directions, project
 from torchlight.errors import CalibrationError
-from torchlight.geometry.receiver import Receiver
+from torchlight.geometry.receiver import Receiver, receiver_points
 from torchlight.geometry.scene import Scene
 
 SUBPIXELS = 4  # along a pixel's edge
@@ -67,6 +67,19 @@ def sight_of(scene: Scene, size: tuple[int, int], top: float) -> Sight:
             "not cropped, not turned"
         )
     return Sight(scene.camera, scene.receiver, size, top)
+
+
+def receiver_pixels(sight: Sight) -> Bool[Tensor, "height width"]:
+    """Returns on which pixels the centre of a receiver's sample falls; all of a rectified picture's."""
+    width, height = sight.size
+    if sight.camera is None:
+        return torch.ones(height, width, dtype=torch.bool)
+    pixels = project(sight.camera, torch.from_numpy(receiver_points(sight.receiver)))
+    columns, rows = pixels.nan_to_num(-1.0).round().long().unbind(dim=-1)
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    result = torch.zeros(height, width, dtype=torch.bool)
+    result[rows[inside], columns[inside]] = True
+    return result
 
 
 def cell_rays(
