@@ -1,10 +1,11 @@
-"""Opens report.html of a photograph and of a batch in headless Chromium and checks what a reader would notice.
+"""Opens report.html of a photograph, of two together and of a batch in headless Chromium and checks what a reader sees.
 
     python scripts/report_check.py --out docs/images
 
-Photographs of a day are made as by draw_batch.py, one of them cut off; `torchlight batch` writes the pages. Checked: no
-complaint on the console, no request to a network, no sideways scrolling at 390 and 1,440 pixels, the exposure slider
-and the marks change the light's pixels, a heading sorts by mouse and by keyboard. Screenshots are written to --out.
+Photographs of a day are made as by draw_batch.py, one of them cut off, and one of the block turned; `torchlight batch`
+and `torchlight joint` write the pages. Checked: no complaint on the console, no request to a network, no sideways
+scrolling at 390 and 1,440 pixels, the exposure slider and the marks change the light's pixels, a heading sorts by mouse
+and by keyboard. Screenshots are written to --out.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Callable
-from contextlib import chdir
+from contextlib import chdir, suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -21,11 +22,16 @@ from chromium import Page, browser
 from draw_batch import SCENE, photograph
 from PIL import Image
 
+from torchlight.demo import RECEIVER, SECOND_POSE
+from torchlight.io.images import write_png
+from torchlight.light.procedural import sun_and_window
+from torchlight.synthetic import block_values, pixel_rays, receiver_image
+
 WIDTHS = (390, 1440)
 
 
 def main(out: Path = Path("docs/images")) -> None:
-    """Checks both pages and writes report.png, report_phone.png, report_dark.png, report_batch.png, marked.png.
+    """Checks the pages and writes report.png, report_phone.png, report_dark.png, report_batch.png, marked.png.
 
     Args:
         out: folder for the screenshots.
@@ -34,7 +40,7 @@ def main(out: Path = Path("docs/images")) -> None:
         top = made(Path(name))
         one = top.parent / "photos/1000/report.html"
         with browser() as page:
-            for path, check in ((one, check_photo), (top, check_table)):
+            for path, check in ((one, check_photo), (together(Path(name)), check_photo), (top, check_table)):
                 check_page(page, path, check)
             shots(page, one, top, out)
     print("all checks passed")
@@ -56,6 +62,21 @@ def made(folder: Path) -> Path:
             if ended.code != 1:  # one photograph is to fail
                 raise
     return folder / "lights/report.html"
+
+
+def together(folder: Path) -> Path:
+    """Returns report.html of two photographs solved together; the block is turned in the second."""
+    from torchlight.cli import main as torchlight
+
+    (folder / "turned.yaml").write_text(SCENE.replace("20]}", "69], translation: [0.3, 0.2, 0]}"))
+    values = block_values(SECOND_POSE, RECEIVER, pixel_rays(sun_and_window(128)))
+    photo = receiver_image(0.7 * values / values.max(), RECEIVER)
+    write_png(folder / "turned.png", (photo * 255).round().byte().permute(1, 2, 0).contiguous().numpy())
+    views = ("{scene: block.yaml, photo: day/0800.png}", "{scene: turned.yaml, photo: turned.png}")
+    (folder / "views.yaml").write_text("photographs:\n" + "".join(f"  - {view}\n" for view in views))
+    with chdir(folder), suppress(SystemExit):
+        torchlight(["joint", "views.yaml", "--out", "both", "--functions", "150"])
+    return folder / "both/report.html"
 
 
 def check_page(page: Page, path: Path, check: Callable[[Page], None]) -> None:
