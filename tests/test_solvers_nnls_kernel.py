@@ -135,7 +135,7 @@ def test_one_by_one_ends_at_the_same_point(kind: Matrix):
     expected, _ = minimized(gram, linear, np.zeros((1, COUNT)))
     for start in (np.zeros(COUNT), rng.random(COUNT)):
         x, factor = start.copy(), np.zeros((COUNT + 4, COUNT + 4))
-        kernel.lawson_hanson(gram, linear[0], RIDGE, TOLERANCE, 1000, x, factor, np.ones(COUNT + 4))
+        kernel.lawson_hanson(gram, linear[0], RIDGE, TOLERANCE, 0.0, 1000, x, factor, np.ones(COUNT + 4))
         assert violation(gram, linear[0], x, RIDGE) <= 2 * TOLERANCE
         unit = matrix / np.linalg.norm(matrix, axis=0)
         assert_allclose(unit @ x, unit @ expected[0], rtol=0, atol=1e-8)
@@ -221,6 +221,41 @@ def test_an_item_may_end_where_its_cosine_is_met(cosine):
         spent[asked] = steps.sum()
     assert spent[cosine] <= spent[0.0]
     assert cosine < 0.1 or spent[cosine] < spent[0.0]
+
+
+@pytest.mark.parametrize(("cosine", "little"), [(0.0, 3e-4), (0.01, 0.0)])
+def test_columns_nearer_to_a_right_angle_than_the_cosine_by_far_stay_out(cosine: float, little: float):
+    """Columns e1, e2 and (e1 + e3) / sqrt(2), b = (0.8, 0.0003, -0.3, 0.5): the minimum has 0.8 e1 and 0.0003 e2."""
+    columns = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [np.sqrt(0.5), 0, np.sqrt(0.5), 0]])
+    target = np.array([0.8, 3e-4, -0.3, 0.5])
+    length = np.linalg.norm(target)
+    gram, linear = columns @ columns.T, (columns @ target / length)[None]
+    expected = np.array([0.8, little, 0.0]) / length
+    x, steps = np.array([[1.0, 0.0, 1.0]]), np.zeros(1, np.int64)
+    kernel.minimize_items(gram, linear, 0.0, TOLERANCE, cosine, 0.0, 1000, x, steps)
+    assert_allclose(x[0], expected, rtol=0, atol=1e-12)
+    x, factor = np.zeros(3), np.zeros((7, 7))
+    kernel.lawson_hanson(gram, linear[0], 1e-13, TOLERANCE, cosine, 1000, x, factor, np.ones(7))
+    assert_allclose(x, expected, rtol=0, atol=1e-12)
+
+
+def test_cosine_is_that_of_the_residual_without_negative_values():
+    rng = np.random.default_rng(3)
+    columns = independent(rng)
+    columns /= np.linalg.norm(columns, axis=0)
+    target = rng.normal(size=POINTS) + 1.0
+    target /= np.linalg.norm(target)
+    gram, linear, index = columns.T @ columns, columns.T @ target, np.arange(0, COUNT, 3)
+    values = np.linalg.solve(gram[np.ix_(index, index)], linear[index])
+    assert (values < 0).sum() > 2
+    w = linear - gram[:, index] @ values
+    x = np.zeros(COUNT)
+    x[index] = values.clip(min=0)
+    residual = target - columns @ x
+    against = columns.T @ residual / np.linalg.norm(residual)
+    cosine = np.where(x > 0, abs(against), against.clip(min=0)).max()
+    for factor, verdict in ((1.0001, True), (0.9999, False)):
+        assert kernel.met(gram, linear, index, len(index), values, w, factor * cosine, np.empty(COUNT)) == verdict
 
 
 def test_all_negative_columns_leave_but_only_promising_ones_come_in():

@@ -17,6 +17,7 @@ import torchlight as tl
 from torchlight.errors import ConfigError, ShapeError
 from torchlight.solvers import NNLS, LeastSquares, Status, prepared
 from torchlight.solvers.certificate import kkt_cosine
+from torchlight.solvers.modulus import QUICK, Stages
 
 POINTS, TEXELS, FRAMES = 80, 24, 5
 
@@ -160,12 +161,25 @@ def test_blocks_are_read_one_by_one_and_not_kept() -> None:
 
 
 def test_what_the_frames_share_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[int] = []
+    made: list[Stages] = []
     genuine = prepared.modulus_of
-    monkeypatch.setattr(prepared, "modulus_of", lambda gram: made.append(1) or genuine(gram))
+    monkeypatch.setattr(prepared, "modulus_of", lambda gram, stages: made.append(stages) or genuine(gram, stages))
     matrix = transport()
     assert len(list(tl.stream(matrix, frames(matrix).split(1)))) == FRAMES
-    assert made == [1]
+    assert made == [QUICK]
+
+
+def test_a_looser_tolerance_takes_less() -> None:
+    matrix = transport()
+    video = frames(matrix)
+    steps = [next(tl.stream(matrix, [video], tolerance=tolerance)).steps.sum().item() for tolerance in (0.1, 1e-9)]
+    assert steps[0] < steps[1]
+
+
+def test_a_block_without_frames_has_no_light() -> None:
+    (found,) = tl.stream(transport(), [torch.zeros(0, 3, POINTS, dtype=torch.float64)])
+    assert found.coefficients.shape == (0, 3, TEXELS)
+    assert found.status.shape == (0, 3)
 
 
 def test_many_threads_share_a_block() -> None:

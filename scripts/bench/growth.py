@@ -23,7 +23,7 @@ from transport import exponent, met, receiver, sphere
 from torchlight.geometry.scene import Scene
 from torchlight.relighting import irradiance
 from torchlight.solvers import NNLS, LeastSquares
-from torchlight.solvers.modulus import PENALTIES, STEPS, modulus_of
+from torchlight.solvers.modulus import modulus_of
 from torchlight.solvers.shared_gram import unit_gram
 from torchlight.threads import thread_count
 from torchlight.transfer import transport
@@ -163,7 +163,7 @@ def pieces_of_a_solve(single: float, double: float) -> Iterator[Row]:
     guess = modulus_of(base.gram)
     _, cost = best(lambda: guess.minimizers(correlations * base.inverse), RUNS)
     spent += cost.wall
-    yield reached("guessed supports", 2 * len(PENALTIES) * STEPS * n**2 * items, cost.wall, single)
+    yield reached("guessed supports", 2 * sum(steps for _, steps in guess.stages) * n**2 * items, cost.wall, single)
     found, cost = best(lambda: NNLS().solve(problem), RUNS)
     used = (found.coefficients > 0).sum(dim=-1).double()
     operations = float((found.steps.double() * (used**3 / 3 + 2 * used * n)).sum())

@@ -9,9 +9,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-PENALTIES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # the unit diagonal of the Gram matrix is the scale
-STEPS = 20  # per penalty
+Stages = tuple[tuple[float, int], ...]
+
 RELAXATION = 1.8
+# penalties, of which the unit diagonal of the Gram matrix is the scale, and how many steps are taken with each
+THOROUGH: Stages = ((1e-2, 20), (1e-3, 20), (1e-4, 20), (1e-5, 20), (1e-6, 20), (1e-7, 20))
+QUICK: Stages = ((1e-2, 20), (1e-3, 15), (1e-4, 10), (1e-5, 10))  # where columns on the wrong side cost little
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +33,7 @@ class Modulus:
         vectors: eigenvectors of G, float64.
         values: eigenvalues of G.
         products: a p (G + p 1)^-1 - a/2 1 of every stage, float32.
+        stages: the penalties p, and how many steps are taken with each.
 
     References:
         Boyd et al., Distributed optimization and statistical learning via ADMM, 2011, sections 3.4.1 and 3.4.3.
@@ -39,28 +43,34 @@ class Modulus:
     vectors: Float[Tensor, "n n"]
     values: Float[Tensor, " n"]
     products: Float[Tensor, "stages n n"]
+    stages: Stages
 
     def minimizers(self, linear: Float[Tensor, "items n"]) -> Float[Tensor, "items n"]:
         """Returns z for every row c."""
         t = torch.zeros_like(linear, dtype=torch.float32)
+        modulus = torch.empty_like(t)
         along = linear @ self.vectors
-        for stage, penalty in enumerate(PENALTIES):
-            if stage > 0:
-                t = t.clamp(min=0) + t.clamp(max=0) * (PENALTIES[stage - 1] / penalty)
+        before = self.stages[0][0]
+        for (penalty, steps), product in zip(self.stages, self.products, strict=True):
+            t = t.clamp(min=0) + t.clamp(max=0) * (before / penalty)
+            before = penalty
             advance = (along * (RELAXATION / (self.values + penalty)) @ self.vectors.T).to(torch.float32)
-            for _ in range(STEPS):
-                modulus = t.abs()
-                t.mul_(1 - RELAXATION / 2).add_(advance).addmm_(modulus, self.products[stage])
+            for _ in range(steps):
+                torch.abs(t, out=modulus)
+                t.mul_(1 - RELAXATION / 2).add_(advance).addmm_(modulus, product)
         return t.clamp(min=0).to(linear)
 
 
-def modulus_of(gram: Float[Tensor, "n n"]) -> Modulus:
+def modulus_of(gram: Float[Tensor, "n n"], stages: Stages = THOROUGH) -> Modulus:
     """Returns the iteration for a positive semidefinite G with unit diagonal."""
     values, vectors = torch.linalg.eigh(gram)
     values = values.clamp(min=0)
-    return Modulus(vectors, values, torch.stack(list(_products(values.to(torch.float32), vectors.to(torch.float32)))))
+    products = torch.stack(list(_products(values.to(torch.float32), vectors.to(torch.float32), stages)))
+    return Modulus(vectors, values, products, stages)
 
 
-def _products(values: Float[Tensor, " n"], vectors: Float[Tensor, "n n"]) -> Iterator[Float[Tensor, "n n"]]:
-    for penalty in PENALTIES:
+def _products(
+    values: Float[Tensor, " n"], vectors: Float[Tensor, "n n"], stages: Stages
+) -> Iterator[Float[Tensor, "n n"]]:
+    for penalty, _ in stages:
         yield vectors * (RELAXATION * penalty / (values + penalty) - RELAXATION / 2) @ vectors.T

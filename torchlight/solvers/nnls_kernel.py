@@ -10,7 +10,7 @@ from typing import no_type_check
 
 import numpy as np
 
-from torchlight.compiled import compiled
+from torchlight.compiled import compiled, compiled_sums
 from torchlight.solvers.border_kernel import begin, bordered, empty_border
 from torchlight.solvers.factor_kernel import TILE, backward, factored, forward, substitute
 from torchlight.solvers.passive_kernel import collect, gradient, scatter
@@ -23,6 +23,7 @@ CAREFUL = 10  # pivotings in which only that does; where nearly all columns belo
 SMALLEST_SHIFT = 1e-13  # just above the rounding of a float64 Gram matrix with unit diagonal
 SHIFT_ROUNDS = 50
 AT_BOUND = 1e-10  # of its value before the step: a coefficient this small has reached 0
+SLACK = 0.1  # of the cosine: columns nearer to a right angle are left outside; more would save little
 SMALLEST_SQUARE = 1e-12  # of |b|^2: smaller residuals are rounding
 
 
@@ -39,6 +40,7 @@ def minimize_items(gram, linear, ridge, tolerance, cosine, near, max_steps, x, s
         tolerance: on w = c - G x - ridge x: w_j at most this everywhere, and |w_j| where x_j > 0.
         cosine: above 0, where c is A'b of a |b| = 1, an item also ends where w = c - G x, of a minimum on a face with
             its negative values set to 0, is at most this times |r| in the sense of the tolerance; |r|^2 follows from w.
+            Columns whose own cosine is a tenth of it or less are not let in.
         near: 0: an answer is a function of the set of passive columns alone. Above 0 it may come from the factor of
             another set (`border_kernel`) where |w_j| <= near if x_j > 0, which is less work.
         max_steps: factorisations per item, whole or in part, and sets solved without.
@@ -49,13 +51,15 @@ def minimize_items(gram, linear, ridge, tolerance, cosine, near, max_steps, x, s
     room = columns + TILE
     factor = np.zeros((room, room))
     inverse = np.ones(room)
+    border = empty_border(columns)
     for item in range(len(x)):
-        steps[item] = minimize(gram, linear[item], ridge, tolerance, cosine, near, max_steps, x[item], factor, inverse)
+        c, start = linear[item], x[item]
+        steps[item] = minimize(gram, c, ridge, tolerance, cosine, near, max_steps, start, factor, inverse, border)
 
 
 @compiled
 @no_type_check
-def minimize(gram, linear, ridge, tolerance, cosine, near, max_steps, x, factor, inverse):
+def minimize(gram, linear, ridge, tolerance, cosine, near, max_steps, x, factor, inverse, border):
     """Minimises for one item; returns the factorisations."""
     shift = max(ridge, SMALLEST_SHIFT)
     pulled = np.zeros(len(x))
@@ -63,7 +67,7 @@ def minimize(gram, linear, ridge, tolerance, cosine, near, max_steps, x, factor,
     spent = 0
     for _ in range(SHIFT_ROUNDS):
         left = max_steps - spent
-        more, shift = pivot(gram, shifted, shift, tolerance, cosine, near, left, x, factor, inverse)
+        more, shift = pivot(gram, shifted, shift, tolerance, cosine, near, left, x, factor, inverse, border)
         spent += more
         # a shift above the ridge leaves w = (shift - ridge) x - pulled where x > 0
         wrong = 0.0
@@ -79,20 +83,20 @@ def minimize(gram, linear, ridge, tolerance, cosine, near, max_steps, x, factor,
 
 @compiled
 @no_type_check
-def pivot(gram, linear, shift, tolerance, cosine, near, max_steps, x, factor, inverse):
+def pivot(gram, linear, shift, tolerance, cosine, near, max_steps, x, factor, inverse, border):
     """Minimises with a positive shift in place of the ridge; returns the factorisations and the shift that held.
 
     Block principal pivoting (Portugal, Judice and Vicente 1994): infeasible columns change sides while their number
     falls, the last one alone where it does not. Should that not end soon, Lawson and Hanson's method, which must,
     begins where fewest were infeasible. Sets that few changes make of the last one factored are solved with its factor
     (`border_kernel`), until none is infeasible: then, and where hardly any is, the set gets a factor of its own, unless
-    what is `near` will do.
+    what is `near` or has the cosine will do.
     """
     columns = len(x)
     passive = x > 0.0
     index, current, wrong = np.empty(columns, np.int64), np.empty(columns, np.int64), np.empty(columns, np.bool_)
     values, w, rough = np.empty(columns), np.empty(columns), np.empty(columns)
-    border, few = empty_border(columns), 0 if near > 0.0 else FEW_WRONG
+    few = 0 if near > 0.0 or cosine > 0.0 else FEW_WRONG
     fewest, chances, spent, pivoting, used, rows, infeasible = columns + 1, CHANCES, 0, 0, 0, 0, 0
     while pivoting < PIVOTINGS and spent < max_steps:
         spent += 1
@@ -110,9 +114,10 @@ def pivot(gram, linear, shift, tolerance, cosine, near, max_steps, x, factor, in
             backward(factor, inverse, used, values)
             current[:used], listed, rows = index[:used], used, 0
         gradient(gram, linear, current, listed, values, w)
-        infeasible = judge(passive, current, listed, values, w, tolerance, wrong)
+        least = enough(linear, current, listed, values, w, tolerance, cosine)
+        infeasible = judge(passive, current, listed, values, w, least, wrong)
         done = infeasible == 0 and (exact or unrest(current, listed, values, w, shift) <= near)
-        if done or (cosine > 0.0 and met(gram, linear, current, listed, values, cosine, rough)):
+        if done or (cosine > 0.0 and met(gram, linear, current, listed, values, w, cosine, rough)):
             scatter(current, listed, values, x)
             return spent, shift
         if infeasible == 0:
@@ -124,7 +129,7 @@ def pivot(gram, linear, shift, tolerance, cosine, near, max_steps, x, factor, in
             chances -= 1
         swap(passive, wrong, w, PROMISING if pivoting < CAREFUL else 0.0, chances)
         pivoting += 1
-    more, shift = lawson_hanson(gram, linear, shift, tolerance, max_steps - spent, x, factor, inverse)
+    more, shift = lawson_hanson(gram, linear, shift, tolerance, cosine, max_steps - spent, x, factor, inverse)
     return spent + more, shift
 
 
@@ -174,25 +179,45 @@ def swap(passive, wrong, w, share, chances):
 
 @compiled
 @no_type_check
-def met(gram, linear, index, used, values, cosine, w):
-    """Sets negative values to 0; returns whether the cosine then holds. With w = c - G x, |r|^2 is 1 - c'x - w'x."""
+def met(gram, linear, index, used, values, w, cosine, rough):
+    """Returns whether the cosine holds once negative values are 0: w = c - G x then changes by their columns alone."""
+    rough[:] = w
     for a in range(used):
-        values[a] = max(values[a], 0.0)
-    gradient(gram, linear, index, used, values, w)
+        if values[a] < 0.0:
+            add_row(values[a], gram[index[a]], rough)
     square, worst = 1.0, 0.0
     for a in range(used):
         j = index[a]
-        square -= (linear[j] + w[j]) * values[a]
         if values[a] > 0.0:
-            worst = max(worst, abs(w[j]))
-    for j in range(len(w)):
-        worst = max(worst, w[j])
+            square -= (linear[j] + rough[j]) * values[a]
+            worst = max(worst, abs(rough[j]))
+    for j in range(len(rough)):
+        worst = max(worst, rough[j])
     return worst <= cosine * np.sqrt(max(square, SMALLEST_SQUARE))
+
+
+@compiled_sums
+@no_type_check
+def add_row(share, row, w):
+    """Adds a multiple of a row."""
+    for j in range(len(w)):
+        w[j] += share * row[j]
 
 
 @compiled
 @no_type_check
-def lawson_hanson(gram, linear, shift, tolerance, max_steps, x, factor, inverse):
+def enough(linear, index, used, values, w, tolerance, cosine):
+    """Returns the w_j = (c - G x)_j that lets a column in: a tenth of what the cosine allows, or the tolerance."""
+    square = 1.0
+    if cosine > 0.0:
+        for a in range(used):
+            square -= (linear[index[a]] + w[index[a]]) * values[a]
+    return max(tolerance, SLACK * cosine * np.sqrt(max(square, SMALLEST_SQUARE)))
+
+
+@compiled
+@no_type_check
+def lawson_hanson(gram, linear, shift, tolerance, cosine, max_steps, x, factor, inverse):
     """Minimises from a feasible x, one column in at a time (Lawson and Hanson 1974); returns as `pivot` does.
 
     The objective falls with every step. A column that rounding alone lets in leaves at once, without a step; it is
@@ -219,7 +244,7 @@ def lawson_hanson(gram, linear, shift, tolerance, max_steps, x, factor, inverse)
         else:
             refused[:] = False
         gradient(gram, linear, index, used, values, w)
-        entrant = steepest(w, passive, refused, tolerance)
+        entrant = steepest(w, passive, refused, enough(linear, index, used, values, w, tolerance, cosine))
         if entrant < 0:
             used, kept = collect(passive, index, 0)
             shift = factored(gram, index, used, kept, shift, factor, inverse)

@@ -14,12 +14,12 @@ from torchlight.solvers.active_set import Limits
 from torchlight.solvers.batch import ITEMS_PER_TASK, minimize
 from torchlight.solvers.certificate import gap_along, kkt_cosine, nonzero_norm
 from torchlight.solvers.device_steps import alike, minimizers
-from torchlight.solvers.modulus import Modulus, modulus_of
+from torchlight.solvers.modulus import QUICK, THOROUGH, Modulus, modulus_of
 from torchlight.solvers.nnls import FULL_GRAM_COLUMNS, INNER_TOLERANCE, NNLS
 from torchlight.solvers.problem import check_like_matrix, check_matrix, check_weights
 from torchlight.solvers.shared_gram import UnitGram, unit_gram, weighted_gram
 from torchlight.solvers.solution import Solution, Status
-from torchlight.solvers.system import assemble, binary_scale, initial_status
+from torchlight.solvers.system import assemble, binary_scale
 from torchlight.threads import single_threaded_map
 
 RIDGE = NNLS().ridge
@@ -75,28 +75,27 @@ class PreparedNNLS:
         points, coeffs = self.matrix.shape
         if samples.ndim < 2 or samples.shape[-1] != points:
             raise ShapeError(f"samples: expected shape [*batch, channels, {points}], got {list(samples.shape)}")
-        photos = samples.reshape(-1, samples.shape[-2], points)[..., self.seen].to(torch.float64)
-        status = initial_status(photos, self.root.expand(photos.shape[0], -1)).flatten()
-        b = torch.where((status == Status.CONVERGED)[:, None], photos.flatten(0, 1), 0.0)
-        found = b.new_zeros(b.shape[0], coeffs + 3)
-        steps = torch.zeros_like(status)
+        items = samples.reshape(-1, points)
+        found = self.norms.new_empty(items.shape[0], coeffs + 3)
+        steps, status = (torch.zeros(items.shape[0], dtype=torch.int64, device=items.device) for _ in range(2))
 
-        def fill(items: slice) -> None:
-            found[items], steps[items], ended = self._solved(b[items], tolerance)
-            status[items] = torch.where(status[items] == Status.CONVERGED, ended, status[items])
+        def fill(part: slice) -> None:
+            found[part], steps[part], status[part] = self._solved(items[part], tolerance)
 
-        whole = [slice(0, b.shape[0])]
-        shares = parts(b.shape[0], torch.get_num_threads()) if b.device.type == "cpu" else whole
+        whole = [slice(0, items.shape[0])]
+        shares = parts(items.shape[0], torch.get_num_threads()) if items.device.type == "cpu" else whole
         for _ in single_threaded_map(fill, shares):
             pass
-        found[status == Status.NOT_FINITE, coeffs:] = torch.nan
-        items = photos.shape[:2]
-        return assemble(samples, found.unflatten(0, items), status.reshape(items), steps.reshape(items))
+        photos = (-1, samples.shape[-2])
+        return assemble(samples, found.unflatten(0, photos), status.reshape(photos), steps.reshape(photos))
 
     def _solved(
-        self, b: Float[Tensor, "items seen"], tolerance: float
+        self, samples: Float[Tensor, "items points"], tolerance: float
     ) -> tuple[Float[Tensor, "items coeffs_and_figures"], Int[Tensor, " items"], Int[Tensor, " items"]]:
         """Returns coefficients and figures, steps and status."""
+        b = samples[:, self.seen].to(torch.float64)
+        finite = torch.isfinite(b).all(dim=-1)
+        b = torch.where(finite[:, None], b, 0.0)
         scale = binary_scale(b)
         target = b / scale * self.root
         size = nonzero_norm(target)
@@ -116,8 +115,9 @@ class PreparedNNLS:
         found = b.new_zeros(b.shape[0], coeffs + 3)
         found[:, self.index] = z * (size[:, None] * scale) / self.norms
         found[:, coeffs:] = torch.stack([torch.linalg.vector_norm(residual, dim=-1), cosine, gap], dim=-1)
+        found[~finite, coeffs:] = torch.nan
         ended = torch.where(cosine <= tolerance, int(Status.CONVERGED), int(Status.STOPPED_SHORT))
-        return found, steps, ended
+        return found, steps, torch.where(finite, ended, int(Status.NOT_FINITE))
 
 
 def prepare(matrix: Float[Tensor, "points coeffs"], weights: Float[Tensor, " points"] | None = None) -> PreparedNNLS:
@@ -146,7 +146,7 @@ def prepare(matrix: Float[Tensor, "points coeffs"], weights: Float[Tensor, " poi
         )
     columns = columns[:, index] / norms
     gram = unit_gram(weighted_gram(columns, torch.ones_like(root)))
-    guess = modulus_of(gram.gram)
+    guess = modulus_of(gram.gram, QUICK if matrix.device.type == "cpu" else THOROUGH)
     return PreparedNNLS(seen, index, norms, root, columns, (root[None] @ columns)[0], gram, guess, matrix)
 
 
