@@ -102,6 +102,21 @@ def test_a_light_that_would_explain_the_photograph_worse_is_left_as_found(monkey
     assert evened(photo, SCENE, sky, precompute(SCENE, 8, use_cache=False)) is sky
 
 
+@pytest.mark.parametrize(("left", "passes", "kept"), [([3.0, 1.9], 4, False), ([3.0, 3.0, 3.0], 5, True)])
+def test_passes_go_on_until_the_photograph_is_explained(
+    left: list[float], passes: int, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unexplained_then = iter([1.0, *left])
+    monkeypatch.setattr("torchlight.evenness.even_light", lambda facts, scales: facts.start)
+    monkeypatch.setattr("torchlight.evenness.unexplained", lambda *given: next(unexplained_then))
+    sky, counted = smooth_sky(), []
+    photo, transfer = torch.ones(3, *SAMPLES), precompute(SCENE, 8, use_cache=False)
+    found = evened(photo, SCENE, sky, transfer, lambda *done: counted.append(done))
+    assert (found is sky) == kept
+    assert counted[-1] == (3 * passes, 3 * passes)
+    assert list(unexplained_then) == []
+
+
 def test_detail_within_texels_keeps_explaining_the_photograph() -> None:
     """One pass leaves six times as much: detail is scaled with its texel, and casts another shadow than even light."""
     sky = smooth_sky()

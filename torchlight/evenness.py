@@ -48,8 +48,8 @@ def evened(
     returned as found.
 
     What is changed is the mean over texels of 6 degrees (`analysis.evenness` says how), by even light that is added to
-    a texel or taken away. So a sun that the shadows show keeps its shape and what it has over its surroundings. Where the scene says that its objects are matt, what the photograph shows of them
-    tells as well (`facings`).
+    a texel or taken away. So a sun that the shadows show keeps its shape and what it has over its surroundings. Where
+    the scene says that its objects are matt, what the photograph shows of them tells as well (`facings`).
 
     Args:
         photo: that the light was recovered from, linear; rectified where the scene has no camera.
