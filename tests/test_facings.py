@@ -41,7 +41,7 @@ def camera() -> Camera:
 
 
 def scene() -> Scene:
-    receiver = Receiver((0.0, 0.0), (4.0, 4.0), (24, 24), (PLANE_ALBEDO,) * 3)
+    receiver = Receiver((0.0, 0.0), (4.0, 4.0), (24, 24), (PLANE_ALBEDO, PLANE_ALBEDO, PLANE_ALBEDO))
     block = block_scene(Block((1.0, 0.8, 1.2), rotation_degrees=0.0), receiver)
     return replace(block, camera=camera(), encoding="linear", occluder_matt=True)
 

@@ -90,8 +90,8 @@ def facings_of(photo: LinearPhoto, scene: Scene, light: EnvironmentMap, bounce: 
     """
     nothing = scene.triangles[:0]
     height, width = photo.radiance.shape[-2:]
-    step = max(1, round((height * width / CELLS) ** 0.5))
-    sight = sight_of(scene, (width, height), top_of(scene, nothing)).coarser(step)
+    sight = sight_of(scene, (width, height), top_of(scene, nothing))
+    sight = sight.coarser(max(1, round((height * width / CELLS) ** 0.5)))
     stage = stage_of(scene, nothing)
     index = old_cells(photo, stage, sight)
     seen = look(stage, sight, index)
@@ -101,13 +101,16 @@ def facings_of(photo: LinearPhoto, scene: Scene, light: EnvironmentMap, bounce: 
     if len(squares) < 2:
         return None
     seen = seen.only(kept, OLD)
-    shown = torch.pi * _cell_means(photo.radiance.double(), step)[:, index[kept]]
-    bounced = torch.zeros_like(shown)
-    if bounce:
-        ground = ground_of(scene, light, nothing)
-        bounced = throw_bounced(seen, ground, stage.over_objects, Material()).irradiance.T
+    shown = torch.pi * _cell_means(photo.radiance.double(), sight.step)[:, index[kept]]
+    bounced = thrown_by_plane(seen, stage, scene, light) if bounce else torch.zeros_like(shown)
     middles = torch.zeros(len(squares), 3, dtype=torch.float64).index_add_(0, facing, seen.normals[:, 0])
     return Facings(shown, facing, normalize(middles, dim=1), transport_of(seen, stage.over_objects), bounced)
+
+
+def thrown_by_plane(seen: Seen, stage: Stage, scene: Scene, light: EnvironmentMap) -> Float[Tensor, "3 cells"]:
+    """Returns what every cell receives from the plane, as an inserted object would with one bounce."""
+    ground = ground_of(scene, light, scene.triangles[:0])
+    return throw_bounced(seen, ground, stage.over_objects, Material()).irradiance.T
 
 
 def telling(
