@@ -159,13 +159,13 @@ def test_the_plane_throws_light_on_uprights_only() -> None:
         assert 0.5 * PLANE_ALBEDO * torch.pi / 2 < upright < PLANE_ALBEDO * torch.pi / 2
 
 
-@pytest.mark.parametrize(("radiance", "matt"), [(0.0, True), (3.0, True), (3.0, False)])
-def test_a_horizon_that_the_plane_hardly_sees(radiance: float, matt: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("matt", [True, False])
+def test_a_horizon_that_the_plane_hardly_sees(matt: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of uprights' light a tenth or more stays wrong without the block's own pixels, and 4 % at most with them."""
     monkeypatch.setattr("torchlight.evenness.PASSES", 1)
     monkeypatch.setattr("torchlight.evenness.WORSE", 1e9)
     sky = even_sky()
-    sky.radiance[:, ROWS // 2 - round(ROWS * 12 / 180) : ROWS // 2] = radiance
+    sky.radiance[:, ROWS // 2 - round(ROWS * 12 / 180) : ROWS // 2] = 3.0
     light = evened(
         pictured(sky, 0.003), replace(scene(), occluder_matt=matt), even_sky(), precompute(scene(), 8, use_cache=False)
     )
