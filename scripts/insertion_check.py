@@ -3,7 +3,8 @@
     python scripts/insertion_check.py [--data DIR] [--out out/insertion_check] [--samples 256] [--noise 0.005]
 
 The light is recovered from the 8-bit photograph without the object, never taken from the truth, and made even where
-that does not tell, as `torchlight insert` does (not with --as-found). Prints and writes a table and CSV of RMS
+that does not tell, as `torchlight insert` does; with --by matt as where the scene file says `occluder_matt: true`.
+Prints and writes a table and CSV of RMS
 differences: of 8-bit sRGB codes at the photograph's exposure, and linear, of the plane's brightest pixel as 255. The
 plane: all pixels that show it, and those of them that the new shadow darkens by more than 2 %. The object: what the
 camera sees of it. The object's rim, one pixel to either side of its outline, is left out. "photograph" is what an
@@ -18,6 +19,7 @@ import io
 import sys
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import Literal
 
 import matplotlib.pyplot as plt
 import torch
@@ -218,8 +220,7 @@ def main(
     noise: float = 0.005,
     lights: tuple[str, ...] = (BUILT_IN, *PROBES),
     objects: tuple[str, ...] = (),
-    true_light: bool = False,
-    as_found: bool = False,
+    by: Literal["even", "matt", "found", "truth"] = "even",
 ) -> None:
     """Prints and writes the table and the pictures; exit code 1 where a limit is not met.
 
@@ -230,8 +231,8 @@ def main(
         noise: standard deviation in the photograph, a share of white.
         lights: names.
         objects: names, by their first word; none = all.
-        true_light: insert by the true light instead: what is then wrong is the insertion, not the recovered light.
-        as_found: insert by the recovered light as it is, not made even where the photograph does not tell.
+        by: the light to insert by: made even, or so with the block stated matt, as found, or the true one, where what
+            is then wrong is the insertion.
     """
     if not installed():
         sys.exit("insertion_check: needs Mitsuba 3; pip install 'torchlight[mitsuba]'")
@@ -240,10 +241,10 @@ def main(
     rows, pictures = [], []
     for name, environment in cases(data, lights).items():
         case = taken(name, environment, out, samples, noise)
-        if true_light:
+        if by == "truth":
             case = replace(case, found=EnvironmentMap(environment.radiance * case.exposure))
-        elif not as_found:
-            case = replace(case, found=evened(case.photo, scene(), case.found))
+        elif by != "found":
+            case = replace(case, found=evened(case.photo, replace(scene(), occluder_matt=by == "matt"), case.found))
         for thing in chosen:
             row, shown, real = measured(case, thing, samples, out)
             rows.append(row)

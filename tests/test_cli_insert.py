@@ -177,7 +177,10 @@ def test_a_light_of_this_photograph_is_made_even_unless_told_otherwise(
 ) -> None:
     """Another photograph's light, or one that says nothing, is used as it is. (Twice as bright stands for even.)"""
 
-    def twice(photo: object, scene: object, light: EnvironmentMap, progress: object) -> EnvironmentMap:
+    bounces = []
+
+    def twice(photo: object, scene: object, light: EnvironmentMap, progress: object, bounce: bool) -> EnvironmentMap:
+        bounces.append(bounce)
         return EnvironmentMap(2 * light.radiance)
 
     monkeypatch.setattr("torchlight.cli.insert.evened", twice)
@@ -186,7 +189,9 @@ def test_a_light_of_this_photograph_is_made_even_unless_told_otherwise(
     write_light(desk / "light.exr", EnvironmentMap(torch.ones(3, 32, 64)), found)
     evened = insert(desk, *AT, out="evened.exr")
     told = insert(desk, *AT, "--as-found", out="told.exr")
-    for ran in (plain, evened, told):
+    bounced = insert(desk, *AT, "--bounce", out="bounced.exr")
+    assert bounces == [False, True]  # --as-found asks for none
+    for ran in (plain, evened, told, bounced):
         assert ran.code == 0, ran.err
     assert "--as-found uses it as it is" in evened.out
     assert "--as-found" not in plain.out + told.out

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
+from torchlight.analysis.confidence import pixel_texels
 from torchlight.errors import SceneError
 from torchlight.evenness import evened, finer, texel_means, told, unexplained, with_means
 from torchlight.geometry.analytic_shadow import Block
@@ -51,6 +52,29 @@ def test_texels_get_the_means_that_are_asked_for() -> None:
     assert bool((changed >= 0).all())
 
 
+def test_even_light_is_added_and_taken_away_but_no_more_than_there_is() -> None:
+    """One texel of a floor of 1 with a peak of 9: down by 0.4 all fall as much; further, the floor ends at 0."""
+    radiance = torch.zeros(3, ROWS, 2 * ROWS, dtype=torch.float64)
+    index = pixel_texels(8, ROWS)
+    row, column = (index == 150).nonzero()[3].tolist()
+    radiance[:, : ROWS // 2] = torch.where(index == 150, 1.0, 0.0)
+    radiance[:, row, column] = 9.0
+    before = texel_means(radiance, 8)
+    peaks, floors = [], []
+    for share in (0.4, -0.4, 0.02 - before[0, 150].item()):
+        after = before.clone()
+        after[:, 150] += share
+        changed = with_means(radiance, before, after)
+        assert_close(texel_means(changed, 8), after)
+        peaks.append(changed[0, row, column].item())
+        floors.append(changed[0, : ROWS // 2][(index == 150) & (radiance[0, : ROWS // 2] == 1)].unique().tolist())
+    assert peaks[:2] == pytest.approx([9.4, 8.6])
+    assert floors[0] == pytest.approx([1.4])
+    assert floors[1] == pytest.approx([0.6])
+    assert floors[2] == [0.0]
+    assert 0.0 < peaks[2] < 9.0
+
+
 def test_a_small_map_gets_enough_pixels_for_every_texel() -> None:
     light = finer(EnvironmentMap(torch.full((3, 12, 24), 2.0)))
     assert light.height >= ROWS
@@ -76,6 +100,21 @@ def test_a_light_that_would_explain_the_photograph_worse_is_left_as_found(monkey
     photo = pictured(SCENE, sky, 0.005)
     monkeypatch.setattr("torchlight.evenness.even_light", lambda facts, scales: 2 * facts.start)
     assert evened(photo, SCENE, sky, precompute(SCENE, 8, use_cache=False)) is sky
+
+
+@pytest.mark.parametrize(("left", "passes", "kept"), [([3.0, 1.9], 4, False), ([3.0, 3.0, 3.0], 5, True)])
+def test_passes_go_on_until_the_photograph_is_explained(
+    left: list[float], passes: int, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unexplained_then = iter([1.0, *left])
+    monkeypatch.setattr("torchlight.evenness.even_light", lambda facts, scales: facts.start)
+    monkeypatch.setattr("torchlight.evenness.unexplained", lambda *given: next(unexplained_then))
+    sky, counted = smooth_sky(), []
+    photo, transfer = torch.ones(3, *SAMPLES), precompute(SCENE, 8, use_cache=False)
+    found = evened(photo, SCENE, sky, transfer, lambda *done: counted.append(done))
+    assert (found is sky) == kept
+    assert counted[-1] == (3 * passes, 3 * passes)
+    assert list(unexplained_then) == []
 
 
 def test_detail_within_texels_keeps_explaining_the_photograph() -> None:

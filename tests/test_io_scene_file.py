@@ -429,6 +429,12 @@ def test_many_occluders(tmp_path: Path) -> None:
     )
 
 
+def test_matt_occluders(tmp_path: Path) -> None:
+    assert not load_scene(write(tmp_path, BLOCK + RECEIVER)).occluder_matt
+    assert load_scene(write(tmp_path, BLOCK + RECEIVER + "occluder_matt: true\n")).occluder_matt
+    refused(tmp_path, BLOCK + RECEIVER + "occluder_matt: 1\n", ConfigError, "occluder_matt: expected true or false")
+
+
 def test_the_albedo_of_occluders(tmp_path: Path) -> None:
     assert load_scene(write(tmp_path, BLOCK + RECEIVER)).occluder_albedo == 0.0
     assert load_scene(write(tmp_path, BLOCK + RECEIVER + "occluder_albedo: 0.085\n")).occluder_albedo == 0.085

@@ -48,7 +48,7 @@ def run(command: arguments.Insert) -> int:
     found, about = read_described(command.light, command.convention)
     triangles = standing(command, scene)  # whatever is wrong is said before the work begins
     own = not command.as_found and about.get("photo_sha256") == photo.sha256
-    light = made_even(linear, scene, found) if own else found
+    light = made_even(linear, scene, found, command.bounce) if own else found
     referenced = scene.reference != "uniform" or scene.albedo_map is not None
     rendering = Rendering(command.rays, command.bounce, command.only_receiver, command.fit_brightness or referenced)
     with progress_bar("rendering") as progress:
@@ -64,12 +64,12 @@ def run(command: arguments.Insert) -> int:
     return 0
 
 
-def made_even(photo: LinearPhoto, scene: Scene, light: EnvironmentMap) -> EnvironmentMap:
+def made_even(photo: LinearPhoto, scene: Scene, light: EnvironmentMap, bounce: bool) -> EnvironmentMap:
     """Returns the light even where its photograph does not tell; as it is where it stands near or is negative."""
     if light.plane is not None or not light.nonnegative:
         return light
     with progress_bar("making the light even") as progress:
-        return evened(photo, scene, light, progress=progress)
+        return evened(photo, scene, light, progress=progress, bounce=bounce)
 
 
 def outputs(command: arguments.Insert) -> dict[Path, Callable[[Path, Insertion, Photo, Storage], float | None]]:

@@ -37,6 +37,7 @@ class Scene:
         occluder_albedo: how much light the occluders throw back, gloss included; 0 = black, or not to be accounted for.
         mask: True where a photograph's pixel may be used (photograph pixels, or receiver pixels without a camera).
         light_plane: where all light stands; None = far away.
+        occluder_matt: whether the occluders are matt and of one colour, so that their pixels tell of the light.
     """
 
     triangles: Float[Tensor, "faces 3 3"]
@@ -53,6 +54,7 @@ class Scene:
     finder: Callable[[Float[Tensor, "3 height width"], bool, str], Camera] | None = None
     occluder_albedo: float = 0.0
     light_plane: LightPlane | None = None
+    occluder_matt: bool = False
 
     def __post_init__(self) -> None:
         if self.triangles.ndim != 3 or self.triangles.shape[1:] != (3, 3):

@@ -26,7 +26,10 @@ from torchlight.light_plane import LightPlane
 from torchlight.photo.board_camera import BoardCamera
 from torchlight.photo.target import Sheet
 
-_SCENE_KEYS = ("units", "occluders", "occluder_albedo", "receiver", "light", "camera", "photo", "reference", "mask")
+_SCENE_KEYS = (
+    *("units", "occluders", "occluder_albedo", "occluder_matt", "receiver"),
+    *("light", "camera", "photo", "reference", "mask"),
+)
 _LIGHT_KEYS = ("height", "center")
 _RECEIVER_KEYS = ("center", "size", "samples", "albedo")
 _CAMERA_KEYS = ("image_size", "K", "distortion", "world_to_camera")
@@ -67,6 +70,7 @@ def load_scene(path: str | Path) -> Scene:
         units=fields.text(known["units"]) if "units" in known else "unit",
         mask=_mask(known["mask"], camera) if "mask" in known else None,
         occluder_albedo=albedo,
+        occluder_matt=_occluder_matt(known["occluder_matt"]) if "occluder_matt" in known else False,
         light_plane=light,
         **(photo_keys(known["photo"]) if "photo" in known else {}),
         **(reference_keys(known["reference"], receiver) if "reference" in known else {}),
@@ -98,6 +102,12 @@ def _occluder_albedo(field: Field) -> float:
     if not 0.0 <= albedo < 1.0:
         field.fail(f"expected a number in [0, 1), got {albedo:g}; ebony: 0.05, painted black: 0.04")
     return albedo
+
+
+def _occluder_matt(field: Field) -> bool:
+    if not isinstance(field.value, bool):
+        field.fail(f"expected true or false, got {fields.shown(field.value)}")
+    return field.value
 
 
 def _light_plane(field: Field, receiver: Receiver, triangles: Float[Tensor, "faces 3 3"], albedo: float) -> LightPlane:
