@@ -41,6 +41,7 @@ camera:
   distortion: [-0.05, 0.01, 0, 0, 0]
   world_to_camera: [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 700], [0, 0, 0, 1]]
 light: {height: 600, center: [10, 0]}
+occluder_matt: true
 photo: {encoding: gamma, gamma: 2.2}
 reference: smooth
 mask: mask.png
