@@ -292,6 +292,7 @@ def test_wrong_types(tmp_path: Path, text: str, message: str) -> None:
         ("{box: [1, 1, 1], translation: [0, 0, -1]}", "occluders[0].box: lies wholly on or below the plane"),
         ("{box: [1, 1, 1], rotation_degrees: [180, 0, 0]}", "occluders[0].box: lies wholly on or below the plane"),
         ("{box: [1, 1, 1], translation: [0, 0, 1e308], scale: 1e308}", "occluders[0].box: too large once placed"),
+        ("{cylinder: {radius: 4, height: 1e308}}", "occluders[0].cylinder: too large once placed"),
         (
             "{box: [1, 1, 1], matrix: [[1,0,0,0],[0,1,0,0],[0,0,0,1],[0,0,0,1]]}",
             "occluders[0].matrix: flattens the mesh (singular)",

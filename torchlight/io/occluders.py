@@ -20,6 +20,7 @@ from torchlight.io.meshes import read_mesh
 
 MAX_OCCLUDERS = 1_000
 _PLACEMENT_KEYS = ("scale", "rotation_degrees", "translation")
+_LARGEST = 1e70  # coordinate: the squares of areas are still numbers
 # relative to an occluder's own size: below the first, an extent is rounding; above the second, a dip below the plane
 # is more than the float32 of a mesh that was meant to rest on it
 _ROUNDING = 1e-9
@@ -147,8 +148,8 @@ def _place_by_matrix(triangles: Float[Tensor, "faces 3 3"], known: dict[str, Fie
 
 def _measured(field: Field, triangles: Float[Tensor, "faces 3 3"], *, convex: bool) -> _Placed:
     """Returns the occluder with its bounds; raises SceneError if it has no area."""
-    if not bool(torch.isfinite(triangles).all()):
-        field.fail("too large once placed: its coordinates overflow; use a smaller scale")
+    if not bool((triangles.abs() < _LARGEST).all()):
+        field.fail("too large once placed: its coordinates or areas overflow; use a smaller scale")
     corners = triangles.reshape(-1, 3)
     placed = _Placed(field, triangles, convex, corners.amin(dim=0), corners.amax(dim=0))
     area = torch.linalg.vector_norm(_cross_products(triangles), dim=-1).sum().item() / 2
