@@ -744,3 +744,13 @@ def test_the_block_of_the_tests_is_the_block_of_the_scene(tmp_path: Path) -> Non
     )
     assert_close(local.abs().amax(dim=0), torch.tensor([0.5, 0.3], dtype=torch.float64))
     assert triangles[:, 2].max() == 1.2
+
+
+def test_a_photograph_of_another_pose_is_said_to_be_badly_explained(tmp_path: Path) -> None:
+    scene_file(tmp_path, RECTIFIED.replace("[0, 0, 20]", "[0, 0, 75]"))
+    ran = run("estimate", tmp_path / "scene.yaml", png(tmp_path / "photo.png"), "--out", tmp_path / "out")
+    assert ran.code == 0
+    assert "no light explains the photograph well (RMS" in ran.err
+    said = json.loads((tmp_path / "out/photo/result.json").read_text())
+    assert any("is it this scene's?" in line for line in said["warnings"])
+    assert said["rms_255"] > 5

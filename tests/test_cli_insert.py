@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch.testing import assert_close
-from workbench import BOX, CAMERA, LINEAR, RECEIVER, Ran, exr, light, png, scene_file, torchlight
+from workbench import BOX, CAMERA, LINEAR, RECEIVER, RECTIFIED, Ran, exr, light, png, scene_file, torchlight
 
 from torchlight.io.exr import read_exr, write_channels
 from torchlight.io.images import read_photo, write_png
@@ -197,6 +197,19 @@ def test_a_light_of_this_photograph_is_made_even_unless_told_otherwise(
     assert "--as-found" not in plain.out + told.out
     pictures = [read_exr(desk / f"{name}.exr")[0] for name in ("evened", "told")]
     assert float((pictures[0] / pictures[1]).nan_to_num(0.0).max()) == pytest.approx(2.0, rel=1e-3)  # inside the object
+
+
+def test_matt_objects_that_the_photograph_does_not_show_are_said_to_tell_nothing(
+    desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torchlight.cli.insert.evened", lambda photo, scene, light, **named: light)
+    scene_file(desk, f"{RECTIFIED}occluder_matt: true\n", "matt.yaml")
+    found = {"photo_sha256": read_photo(desk / "photo.png").sha256}
+    write_light(desk / "light.exr", EnvironmentMap(torch.ones(3, 32, 64)), found)
+    matt, plain = insert(desk, *AT, scene="matt.yaml"), insert(desk, *AT, out="plain.png")
+    assert (matt.code, plain.code) == (0, 0)
+    assert "occluder_matt: nothing more is told by it" in matt.out
+    assert "occluder_matt" not in plain.out + insert(desk, *AT, "--as-found", scene="matt.yaml", out="as.png").out
 
 
 def test_what_is_wrong_with_the_object_is_said_before_the_light_is_made_even(

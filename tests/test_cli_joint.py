@@ -167,6 +167,15 @@ def test_what_is_added_is_what_analyze_says(made: tuple[Path, Ran], monkeypatch:
         assert found["degrees_of_freedom"] == pytest.approx(case["degrees_of_freedom"])
 
 
+def test_a_copy_of_a_photograph_is_no_second_measurement(tmp_path: Path) -> None:
+    views = files(tmp_path)
+    (tmp_path / "two.png").write_bytes((tmp_path / "one.png").read_bytes())
+    ran = run("joint", views, "--out", tmp_path / "out")
+    same = f"{tmp_path / 'two.png'}: the same photograph as {tmp_path / 'one.png'}, byte for byte"
+    assert (ran.code, same in ran.line) == (2, True)
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_page_shows_what_is_written(made: tuple[Path, Ran]) -> None:
     text = PAGE.read_text()
     for key in (*result(made[0]), *result(made[0])["photographs"][0], *result(made[0])["added"]):

@@ -13,6 +13,7 @@ from torchlight.photo.tone import HALO, halo
 from torchlight.pipeline import Estimate
 
 SHADOW = 0.9  # of the brightest sample predicted: what is darker is the object's own shadow
+POOR, NOISES = 5.0, 4.0  # of 255, and times the noise: an error that neither 8 bits nor small flaws of a model make
 MANY = 0.1  # of the shadow's samples, or of all: a stick's shadow or a stain is less
 
 
@@ -37,6 +38,19 @@ def near(light: NearLight | None, unit: str) -> str:
         f"the light is near: its direction turns by {light.drift_degrees:.0f} +- "
         f"{light.deviation_degrees:.0f} degrees over the receiver (a lamp about {light.distance:.2g} {unit} away); "
         "the recovered light is a mean over the plane and does not relight other places exactly"
+    )
+
+
+def poorly_explained(estimate: Estimate) -> str:
+    """Says that the adaptive method, which makes the light as fine as it helps, leaves far more than noise."""
+    if estimate.refinement is None or estimate.noise is None:
+        return ""
+    error, noise = float(estimate.rms_255), 255 * float(estimate.noise)
+    if not error > max(POOR, NOISES * noise):
+        return ""
+    return (
+        f"no light explains the photograph well (RMS {error:.1f} of 255, noise {noise:.1f}): is it this scene's? Check "
+        "the object's size, place and turn, the camera, and photo.encoding"
     )
 
 

@@ -107,7 +107,7 @@ def write(
     if unusable:
         return Ended(looked.photo, unusable, warnings=looked.warnings)
     distance = doubts.near(near, looked.scene.units) if looked.scene.light_plane is None else ""
-    said = (*looked.warnings, doubts.rejections(estimate), distance)
+    said = (*looked.warnings, doubts.poorly_explained(estimate), doubts.rejections(estimate), distance)
     warnings = tuple(line for line in said if line)
     provenance = Provenance(
         shared.setting.scene_sha256,

@@ -161,7 +161,7 @@ class Render:
     scene: Annotated[Path, tyro.conf.Positional, arg(metavar="SCENE")]
     """Scene file (YAML)."""
     light: Annotated[Path, tyro.conf.Positional, arg(metavar="LIGHT")]
-    """EXR or HDR: a lat-long, a vertical cube cross or an angular map."""
+    """EXR or HDR: a lat-long, a cube cross or strip, or an angular map; harmonics as JSON."""
     out: Annotated[Path, arg(metavar="IMAGE")]
     """Picture to write: .exr (linear, mask beside it) or .png (8-bit, encoded as the scene says, sRGB by default)."""
     convention: Convention | None = None
@@ -277,7 +277,7 @@ class Evaluate:
     photo: Annotated[Path, tyro.conf.Positional, arg(metavar="PHOTO")]
     """Photograph of the scene."""
     light: Annotated[Path, tyro.conf.Positional, arg(metavar="LIGHT")]
-    """EXR or HDR: a lat-long, a vertical cube cross or an angular map."""
+    """EXR or HDR: a lat-long, a cube cross or strip, or an angular map; harmonics as JSON."""
     convention: Convention | None = None
     """Axes of a lat-long light; default: what its metadata says, else torchlight's."""
     fit_scale: bool = False
@@ -353,7 +353,7 @@ class Compare:
     """
 
     light: Annotated[Path, tyro.conf.Positional, arg(metavar="LIGHT")]
-    """The light to judge; EXR or HDR: a lat-long, a vertical cube cross or an angular map."""
+    """The light to judge; EXR or HDR: a lat-long, a cube cross or strip, or an angular map; harmonics as JSON."""
     reference: Annotated[Path, tyro.conf.Positional, arg(metavar="REFERENCE")]
     """What it is judged by; likewise."""
     scene: Annotated[Path | None, arg(metavar="SCENE")] = None

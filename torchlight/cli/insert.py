@@ -32,8 +32,10 @@ from torchlight.observing import linearize, placed
 from torchlight.photo.observation import LinearPhoto
 
 EVENED = "light: made even where the photograph does not tell; --as-found uses it as it is"
+UNTOLD = "occluder_matt: nothing more is told by it: a rectified photograph shows no upright faces of the objects"
 DARKENED = 0.01  # of a pixel's light: what counts as shadow in what is said
 LEAST_CHANGE = 1e-3
+ROUNDING = 1e-9  # of the object's size
 DOUBTFUL = 0.1  # share of the light on upright surfaces that is said to be uncertain
 OFF = 0.1  # the plane brighter or darker by more than this: the light is hardly the photograph's
 
@@ -59,6 +61,7 @@ def run(command: arguments.Insert) -> int:
         clipped = write(path, made, photo, storage)
         print(f"{path}: {said(made)}" if clipped is None else f"{path}: {said(made)}; {clipped:.1%} clipped")
     said_of_light = [EVENED] if light is not found else []
+    said_of_light += [UNTOLD] if own and scene.occluder_matt and scene.camera is None else []
     for line in [*doubts(made, linear, rendering), *undetermined(command.light, light), *said_of_light]:
         print(line)
     return 0
@@ -139,9 +142,9 @@ def check_shown(made: Insertion, triangles: Float[Tensor, "faces 3 3"]) -> None:
     if bool((made.coverage > 0).any()) or bool((made.ratio < 1 - LEAST_CHANGE).any()):
         return
     corners = triangles.reshape(-1, 3)
-    middle = ((corners.amin(dim=0) + corners.amax(dim=0)) / 2).tolist()
+    middle = (corners.amin(dim=0) + corners.amax(dim=0)) / 2
     size = (corners.amax(dim=0) - corners.amin(dim=0)).max().item()
-    place = ", ".join(f"{value:.4g}" for value in middle)
+    place = ", ".join(f"{value:.4g}" for value in torch.where(middle.abs() < ROUNDING * size, 0.0, middle).tolist())
     raise SceneError(
         f"the picture shows neither the object nor its shadow: it stands around ({place}), {size:.4g} large; "
         "check --position, --scale and --pose, and whether something hides it"

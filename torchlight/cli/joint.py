@@ -83,6 +83,7 @@ def run(command: arguments.Joint) -> int:
     read = with_exif([read_view(item, photos, device) for item in pictured])
     views = [item.view for item in read]
     check_views(views)
+    check_different(read)
     transfers = [transfer_of(item, dense_resolution(basis, solver), command) for item in read]
     joint = solved(views, [transfer.to(device) for transfer in transfers], basis, solver, settings.solver.robust)
     told = what_was_added(read, joint, command)
@@ -158,6 +159,16 @@ def with_exif(read: Sequence[Read]) -> list[Read]:
     return [exposed(item, (item.exif.exposure or unit) / unit) if item in asking else item for item in read]
 
 
+def check_different(read: Sequence[Read]) -> None:
+    """Raises ConfigError where two photographs are the same file's content: that is one measurement."""
+    first: dict[str, Path] = {}
+    for item in read:
+        photo = item.pictured.photo
+        same = first.setdefault(item.sha256, photo)
+        if same is not photo:
+            raise ConfigError(f"{photo}: the same photograph as {same}, byte for byte; a photograph counts once")
+
+
 def exposed(item: Read, scale: float) -> Read:
     """Returns the photograph with an exposure."""
     return replace(item, view=replace(item.view, scale=scale))
@@ -228,6 +239,7 @@ def report(command: arguments.Joint, origins: Sequence[Source], joint: JointEsti
         if deviation > DOUBTFUL:
             fail(f"warning: {origin.photo}: its exposure is uncertain by {deviation:.0%}; better state it")
         own = replace(joint.estimate, observation=joint.views[index].observation, predicted=joint.predicted[index])
+        warn(origin.photo, doubts.poorly_explained(own))
         warn(origin.photo, doubts.rejections(own))
     if not joint.scales.converged:
         fail(f"warning: the exposures had not settled after {joint.scales.rounds} solves")

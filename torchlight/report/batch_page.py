@@ -36,7 +36,7 @@ class Column:
 COLUMNS = (
     Column("rms_255", "error [of 255]", ".2f"),
     Column("visible", "samples", "d"),
-    Column("functions", "functions", "d"),
+    Column("functions", "functions, all channels", "d"),
     Column("peak_azimuth_degrees", "azimuth [deg]", ".1f"),
     Column("peak_elevation_degrees", "elevation [deg]", ".1f"),
     Column("peak_share", "its share", ".0%"),
