@@ -754,3 +754,17 @@ def test_a_photograph_of_another_pose_is_said_to_be_badly_explained(tmp_path: Pa
     said = json.loads((tmp_path / "out/photo/result.json").read_text())
     assert any("is it this scene's?" in line for line in said["warnings"])
     assert said["rms_255"] > 5
+
+
+def test_a_photograph_of_another_shape_is_said_to_be_stretched(tmp_path: Path) -> None:
+    scene_file(tmp_path)
+    picture = cv2.imread(str(png(tmp_path / "photo.png")), cv2.IMREAD_COLOR)
+    assert picture is not None
+    for name, width in (("wide.png", 48), ("square.png", 20)):
+        cv2.imwrite(str(tmp_path / name), cv2.resize(picture, (width, 16)))
+    ran = run(
+        "estimate", tmp_path / "scene.yaml", tmp_path / "wide.png", tmp_path / "square.png", "--out", tmp_path / "out"
+    )
+    assert ran.code == 0
+    assert f"{tmp_path / 'wide.png'}: 48 x 16 pixels are spread over a receiver of 4 x 4" in ran.err
+    assert "square.png: 20" not in ran.err

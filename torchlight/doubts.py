@@ -12,6 +12,7 @@ from torchlight.photo.observation import Observation, Rejection
 from torchlight.photo.tone import HALO, halo
 from torchlight.pipeline import Estimate
 
+STRETCHED = 1.5  # sides of a pixel on the receiver: rectified photographs have square ones, about
 SHADOW = 0.9  # of the brightest sample predicted: what is darker is the object's own shadow
 POOR, NOISES = 5.0, 4.0  # of 255, and times the noise: an error that neither 8 bits nor small flaws of a model make
 MANY = 0.1  # of the shadow's samples, or of all: a stick's shadow or a stain is less
@@ -27,6 +28,18 @@ def tone_mapped(photo: Photo, observation: Observation, scene: Scene) -> str:
     return (
         f"the plane is {excess:.1%} brighter beside the shadow than far from it: the camera's "
         "local tone mapping (switch HDR off, or photograph RAW), a near lamp, or a second object"
+    )
+
+
+def stretched(photo: Photo, scene: Scene) -> str:
+    """Says that a rectified photograph's pixels are far from square on the receiver."""
+    height, width = photo.pixels.shape[-2:]
+    across, along = scene.receiver.size[0] / width, scene.receiver.size[1] / height
+    if scene.camera is not None or max(across, along) <= STRETCHED * min(across, along):
+        return ""
+    return (
+        f"{width} x {height} pixels are spread over a receiver of {scene.receiver.size[0]:g} x "
+        f"{scene.receiver.size[1]:g}: is it a rectified photograph of all of it?"
     )
 
 

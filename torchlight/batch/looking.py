@@ -77,9 +77,10 @@ def look(setting: Setting, path: Path, stored: Photo, exposure: float | str | No
     looked = Looked(path, stored.sha256, stored.exif, observation, scene)
     for refinement in refinements(setting.config):
         looked = refinement(setting, looked, linear)
-    said = doubts.tone_mapped(stored, looked.observation, looked.scene)
+    said = (doubts.stretched(stored, scene), doubts.tone_mapped(stored, looked.observation, looked.scene))
+    warnings = tuple(line for line in said if line)
     small = shown(stored, scene) if setting.config.output.reports else b""
-    return replace(looked, seconds=time.perf_counter() - start, warnings=(said,) if said else (), picture=small)
+    return replace(looked, seconds=time.perf_counter() - start, warnings=warnings, picture=small)
 
 
 def shown(stored: Photo, scene: Scene) -> bytes:

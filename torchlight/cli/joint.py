@@ -126,6 +126,7 @@ def read_view(pictured: Pictured, photos: Sequence[Path], device: torch.device) 
         empty = empty_plane(here, visible, photos)
         observation = observe(linearize(stored, here), here, visible, empty)
         check_lit(observation)
+        warn(pictured.photo, doubts.stretched(stored, here))
         warn(pictured.photo, doubts.tone_mapped(stored, observation, here))
     except TorchlightError as error:
         named = str(pictured.photo) in str(error) or str(pictured.scene) in str(error)
