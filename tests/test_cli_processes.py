@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from workbench import RECTIFIED, light, png, scene_file
+from workbench import RECTIFIED, light, png, scene_file, shadow
 
 PROGRAM = "from torchlight.cli import program; program()"
 SWEEP = """seed: 3
@@ -32,8 +32,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("processes")
     scene_file(folder, name="scene.yaml")
     scene_file(folder, RECTIFIED.replace("[0, 0, 20]", "[0, 0, 70]"), "turned.yaml")
-    for name in ("photo.png", "other.png"):
-        png(folder / name)
+    png(folder / "photo.png")
+    png(folder / "other.png", 0.9 * shadow())
     light(folder / "light.exr", 16)
     views = ("{scene: scene.yaml, photo: photo.png}", "{scene: turned.yaml, photo: other.png, exposure: 1}")
     (folder / "views.yaml").write_text("photographs:\n" + "".join(f"  - {view}\n" for view in views))
