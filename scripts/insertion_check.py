@@ -1,14 +1,14 @@
 """An object inserted into a photograph against the same object really there, both rendered by Mitsuba.
 
-    python scripts/insertion_check.py [--data DIR] [--out out/insertion_check] [--samples 256] [--noise 0.005]
+    python scripts/insertion_check.py [--data DIR] [--out out/insertion_check] [--samples 256] [--seed 5]
 
 The light is recovered from the 8-bit photograph without the object, never taken from the truth, and made even where
 that does not tell, as `torchlight insert` does; with --by matt as where the scene file says `occluder_matt: true`.
-Prints and writes a table and CSV of RMS
-differences: of 8-bit sRGB codes at the photograph's exposure, and linear, of the plane's brightest pixel as 255. The
-plane: all pixels that show it, and those of them that the new shadow darkens by more than 2 %. The object: what the
-camera sees of it. The object's rim, one pixel to either side of its outline, is left out. "photograph" is what an
-insertion cannot be better than: the same difference where the object changes nothing.
+
+Prints and writes a table and CSV of RMS differences: of 8-bit sRGB codes at the photograph's exposure, and linear, of
+the plane's brightest pixel as 255. The plane: all pixels that show it, and those of them that the new shadow darkens by
+more than 2 %. The object: what the camera sees of it. The object's rim, one pixel to either side of its outline, is
+left out. "photograph" is what an insertion cannot be better than: the same difference where the object changes nothing.
 Needs Mitsuba (`pip install 'torchlight[mitsuba]'`), five times as fast where DRJIT_LIBLLVM_PATH names an LLVM.
 """
 
@@ -100,17 +100,17 @@ def cases(data: Path | None, names: tuple[str, ...]) -> dict[str, EnvironmentMap
     return lights
 
 
-def taken(name: str, environment: EnvironmentMap, out: Path, samples: int, noise: float) -> Case:
+def taken(name: str, environment: EnvironmentMap, out: Path, samples: int, noise: float, seed: int) -> Case:
     """Returns the photograph without the object, through a PNG, and the light recovered from it."""
     here = scene()
     renderings = out / RENDERINGS
-    empty = [kept(environment, Shot(samples, seed, block=False), renderings) for seed in (1, 2)]
+    empty = [kept(environment, Shot(samples, paths, block=False), renderings) for paths in (1, 2)]
     alone = (kinds(here, here.triangles[:0]) == PLANE).all(dim=-1)
     radiance = quieter(kept(environment, Shot(samples, 1), renderings), empty[0], environment, alone)
     shown = observe(linear_photo(radiance.float()), here)
     exposure = EXPOSED / brightest(shown.samples, shown.weights).item()
     path = out / f"{name.replace(' ', '_')}.png"
-    write_png(path, stored(radiance, exposure, noise, seed=5))
+    write_png(path, stored(radiance, exposure, noise, seed=seed))
     photo = linearize(read_photo(path), here)
     found = estimate(photo, here)
     print(f"{name}: {found.rms_255.item():.2f} of 255 is the fit of the recovered light", flush=True)
@@ -221,6 +221,7 @@ def main(
     lights: tuple[str, ...] = (BUILT_IN, *PROBES),
     objects: tuple[str, ...] = (),
     by: Literal["even", "matt", "found", "truth"] = "even",
+    seed: int = 5,
 ) -> None:
     """Prints and writes the table and the pictures; exit code 1 where a limit is not met.
 
@@ -233,6 +234,7 @@ def main(
         objects: names, by their first word; none = all.
         by: the light to insert by: made even, or so with the block stated matt, as found, or the true one, where what
             is then wrong is the insertion.
+        seed: of the noise.
     """
     if not installed():
         sys.exit("insertion_check: needs Mitsuba 3; pip install 'torchlight[mitsuba]'")
@@ -240,7 +242,7 @@ def main(
     chosen = [thing for thing in things(data) if not objects or thing.name.split()[0].strip(",") in objects]
     rows, pictures = [], []
     for name, environment in cases(data, lights).items():
-        case = taken(name, environment, out, samples, noise)
+        case = taken(name, environment, out, samples, noise, seed)
         if by == "truth":
             case = replace(case, found=EnvironmentMap(environment.radiance * case.exposure))
         elif by != "found":

@@ -118,7 +118,7 @@ def test_passes_go_on_until_the_photograph_is_explained(
 
 
 def test_detail_within_texels_keeps_explaining_the_photograph() -> None:
-    """One pass leaves six times as much: detail is scaled with its texel, and casts another shadow than even light."""
+    """One pass leaves six times as much: where pixels end at 0, less than even light is taken away."""
     sky = smooth_sky()
     sky.radiance[:, 40:60, 10:14] += 100.0  # a narrow window near the horizon
     photo = pictured(SCENE, sky, 0.001)

@@ -54,7 +54,7 @@ class Source:
     scene_sha256: str
     exposure_from: str
     exif: Exif
-    picture: bytes = b""
+    picture: bytes
 
 
 @dataclass(frozen=True)
